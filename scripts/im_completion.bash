@@ -1,10 +1,15 @@
 # Completes subcommands of `im`, commands of the machine, their options and choices. Source it; scripts/shell.sh does.
 # What the machine can be told is in commands.txt of its run folder, as `im run` has heard it last: a line a command.
 # Names of topics, services, actions and nodes are likewise those that `im topic list` and so on have shown last.
+# Where nothing of this is known, files are completed.
 # shellcheck shell=bash
 
+_IM_RUNS="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)/.run/im"
+
 _im() {
-  local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD - 1]}" list="$IM_RUN_DIR/commands.txt" words
+  local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD - 1]}" words
+  local run="${IM_RUN_DIR:-$_IM_RUNS${ROS_DOMAIN_ID:-0}}"
+  local list="$run/commands.txt"
   declare -A verbs=(
     [action]="info list send_goal type" [lifecycle]="get list nodes set" [node]="info list" [param]="get list set"
     [service]="call list type" [topic]="echo hz info list pub type"
@@ -16,11 +21,13 @@ _im() {
     words="${verbs[${COMP_WORDS[1]}]}"
   elif ((COMP_CWORD == 3)) && [[ -n "${verbs[${COMP_WORDS[1]}]:-}" ]]; then
     case "${COMP_WORDS[1]}" in lifecycle | param) list=nodes ;; *) list="${COMP_WORDS[1]}s" ;; esac
-    words="$(cat "$IM_RUN_DIR/$list.txt" 2>/dev/null)"
-  elif [[ "${COMP_WORDS[1]}" != run || ! -r "$list" ]]; then
+    words="$(cat "$run/$list.txt" 2>/dev/null)"
+  elif [[ "${COMP_WORDS[1]}" != run ]]; then
     return
   elif ((COMP_CWORD == 2)); then
-    words="$(cut -d' ' -f1 "$list") --attach --cancel --pause --resume --abandon"
+    words="$(cut -d' ' -f1 "$list" 2>/dev/null) --attach --cancel --pause --resume --abandon"
+  elif [[ ! -r "$list" ]]; then
+    return
   else
     # Of `--group=left=right`: the option, or behind it its choices.
     words="$(awk -v name="${COMP_WORDS[2]}" -v before="$before" '$1 == name {
@@ -34,4 +41,4 @@ _im() {
   fi
   mapfile -t COMPREPLY < <(compgen -W "$words" -- "$word")
 }
-complete -F _im im
+complete -o default -F _im im

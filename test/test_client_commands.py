@@ -1,4 +1,4 @@
-"""Commands of the client: followed through the death of the Dispatcher, interrupted, refused."""
+"""Commands and waits of the client: followed through the death of the Dispatcher, interrupted, refused."""
 
 import json
 import os
@@ -7,23 +7,26 @@ import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 from rclpy.action.client import ActionClient
 from rclpy.action.server import CancelResponse, GoalResponse
 from rclpy.parameter import Parameter
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.task import Future
+from std_msgs.msg import String
 
 from im import Command, CommandFailedError, Machine, MachineError, UnreachableError
 from im.commands import Progress
+from im.messages import message_of
 from im_core import clock
 from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer, GuardedNode
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import CommandState, TaskStatus
-from im_msgs.srv import ListCommands, LoadNet
+from im_msgs.msg import CommandState, NetDescription, TaskStatus
+from im_msgs.srv import ControlCommand, ListCommands, LoadNet, Snap
 from support.forgetful import forget
 from support.loop import in_loop
 
@@ -37,7 +40,7 @@ class Dispatcher(GuardedNode):
         super().__init__("dispatcher")
         self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
         self.incarnation, self.cancelled, self.open = 7, [], []
-        self.silent = False
+        self.silent, self.phase = False, TaskStatus.READY
         self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.LATCHED)
         self.create_timer(0.1, self._beat)
         self.create_service(ListCommands, "/dispatcher/list_commands", self._list)
@@ -47,7 +50,7 @@ class Dispatcher(GuardedNode):
         )  # fmt: skip
 
     def beat(self, incarnation):
-        self._status.publish(TaskStatus(name="dispatcher", incarnation=incarnation, phase=TaskStatus.READY))
+        self._status.publish(TaskStatus(name="dispatcher", incarnation=incarnation, phase=self.phase))
 
     def _beat(self):
         if not self.silent:
@@ -298,3 +301,85 @@ def test_arguments_that_cannot_be_sent_are_refused_here(machine, arguments, sent
     with pytest.raises(MachineError, match=sentence):
         client.run("move", **arguments)
     assert not node.begun
+
+
+@pytest.mark.parametrize("given", [500, -1, "seven", True, None])
+def test_a_domain_that_there_is_not_is_refused_and_does_not_end_the_process(monkeypatch, given):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "500")
+    with pytest.raises(MachineError, match=f"'?{given or 500}'? is no ROS domain: a number from 0 to 232"):
+        Machine.connect(domain=given)
+
+
+def test_a_value_of_a_wrong_type_is_named_and_nothing_is_sent(machine):
+    client = machine(node := Dispatcher())
+    for call, sentence in (
+        (lambda: client.run(5), "symbol is of type string and cannot be 5"),
+        (lambda: client.run("home\0"), r"symbol is of type string and cannot be 'home.x00'"),
+        (lambda: client.run("home\ud800"), r"symbol is of type string and cannot be 'home.ud800'"),
+        (lambda: client.run("home", priority=2.5), "priority is of type int8 and cannot be 2.5"),
+        (lambda: client.attach("seven"), "command_id is of type uint32 and cannot be 'seven'"),
+        (lambda: client.attach(2**32), "command_id is of type uint32 and cannot be 4294967296"),
+        (lambda: client.control(3, None), "request is of type string and cannot be None"),
+        (lambda: client.camera(5).snap(), r"cameras is of type sequence<string> and cannot be \[5\]"),
+        (lambda: client.camera("wall").snap("long"), "exposure is of type double and cannot be 'long'"),
+        (lambda: client.dom.get("a", wait="long"), "wait is 'long', not a finite number"),
+        (lambda: client.dom.put("a", String(data=5)), "a field of std_msgs.msg.String.data=5. has a value of another"),
+        (lambda: client.load_net("none.yaml"), "net file none.yaml cannot be read: No such file or directory"),
+        (lambda: client.load_net(5), "net file 5 cannot be read: "),
+        (lambda: client.unload_net("a", wait=float("nan")), "wait is nan, not a finite number"),
+        (lambda: client.calibrate_camera("wall"), r"cameras is 'wall'; a list of names is needed, such as .'wall'."),
+        (lambda: client.firings().__enter__().next("soon"), "timeout is 'soon', not a finite number"),
+    ):
+        with pytest.raises(MachineError, match=sentence):
+            call()
+    assert not node.begun
+
+
+def test_numbers_of_numpy_and_whole_numbers_fit_their_fields():
+    assert message_of(Snap.Request, exposure=np.float32(0.5)).exposure == 0.5
+    assert type(message_of(Snap.Request, exposure=1).exposure) is float
+    assert message_of(ExecuteCommand.Goal, command_id=np.int64(7), attach=np.True_).command_id == 7
+
+
+class Mortal(Dispatcher):
+    """Dies of a request, and is started again without it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.create_service(ControlCommand, "/dispatcher/control_command", self._die)
+
+    async def _die(self, request, response):
+        self.incarnation += 1
+        return await Future()
+
+
+def test_a_request_of_which_a_task_died_is_not_waited_for(machine):
+    client = machine(Mortal())
+    with pytest.raises(UnreachableError, match="dispatcher died before it answered, and was started again"):
+        client.control(3, "pause")
+
+
+def test_a_machine_that_was_stopped_ends_each_wait(machine, wait_until):
+    client = machine(node := Dispatcher())
+    node.phase = TaskStatus.STOPPING
+    wait_until(lambda: client.tasks == {"dispatcher": TaskStatus.STOPPING}, "the stop")
+    node.silent = True
+    stopped = r"dispatcher is missing \(last heard .* s ago\): the machine was stopped"
+    with client.firings() as firings, pytest.raises(UnreachableError, match=stopped):
+        next(iter(firings))
+    for ask in (lambda: client.run("move"), lambda: client.commands, lambda: client.control(3, "pause")):
+        with pytest.raises(UnreachableError, match=stopped):
+            ask()
+
+
+def test_firings_of_a_net_that_there_is_not_are_not_waited_for(machine):
+    client = machine(node := Dispatcher())
+    told = [node.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED) for _ in range(2)]
+    for net, publisher in zip(("home", "gone"), told, strict=True):
+        publisher.publish(NetDescription(net=net, json="{}"))
+    told[1].publish(NetDescription(net="gone"))
+    with client.firings("home") as firings:
+        assert firings.next(0.0) is None
+    for net in ("nonsense", "gone"):
+        with pytest.raises(MachineError, match=f"there is no net '{net}'; there are home"), client.firings(net):
+            pytest.fail("waits for firings of no net")

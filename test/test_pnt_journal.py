@@ -469,20 +469,23 @@ def test_a_command_that_fails_after_its_node_was_started_again_says_so(ros, tmp_
 
 @pytest.mark.parametrize("file", ["lone.yaml", "mended.yaml"])
 def test_a_net_at_rest_in_the_journal_gives_way_to_the_file_of_the_next_start(ros, tmp_path, wait_until, file):
-    parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(tmp_path / "journal"))]
-    functions = {"try": lambda ctx: None, "mend": lambda ctx: None}
+    functions = dict.fromkeys(("try", "mend", "again"), lambda ctx: None)
 
-    def lone(path):
-        return PntNode("lone", [path], functions, verifier=verify_to_load, parameter_overrides=parameters)
+    def lone(path, journal):
+        folder = Parameter("journal_dir", value=str(tmp_path / journal))
+        given = [Parameter("standalone", value=True), folder]
+        return PntNode("lone", [path], functions, verifier=verify_to_load, parameter_overrides=given)
 
     (tmp_path / "lone.yaml").write_text(LONE)
-    first = lone(tmp_path / "lone.yaml")
+    first = lone(tmp_path / "lone.yaml", "try")
     first.phase_configure()
     first.destroy_node()
-    (tmp_path / file).write_text(LONE.replace("action: try", "action: mend"))
-    second = ros(lone(tmp_path / file))
-    wait_until(lambda: second.begun, "the node to begin")
-    assert second.exchange.nets["lone"].written.transitions["try"].action.function == "mend"
+    for former, function in (("try", "mend"), ("mend", "again")):
+        shutil.copytree(tmp_path / former, tmp_path / function)
+        (tmp_path / file).write_text(LONE.replace("action: try", f"action: {function}"))
+        node = ros(lone(tmp_path / file, function))
+        wait_until(lambda node=node: node.begun, "the node to begin")
+        assert node.exchange.nets["lone"].written.transitions["try"].action.function == function
 
 
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):

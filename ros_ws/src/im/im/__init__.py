@@ -3,9 +3,10 @@
 from im.calibration import CalibratedCamera, Calibration
 from im.commands import Command, Progress
 from im.errors import CommandCancelledError, CommandFailedError, MachineError, UnreachableError
+from im.firings import Firings
 from im.geometry import Pose
 from im.groups import Arm, Gripper, Group
-from im.machine import Firings, Machine
+from im.machine import Machine
 from im.vision import Camera, Picture, Position, Spot
 
 __all__ = [

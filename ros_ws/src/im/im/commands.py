@@ -19,6 +19,7 @@ from unique_identifier_msgs.msg import UUID
 from im.connection import PATIENCE_S, Connection
 from im.errors import CommandCancelledError, CommandFailedError, MachineError, UnreachableError
 from im.heartbeats import Heartbeats
+from im.messages import message_of
 from im.waits import next_of, wait_for
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import ControlCommand, ListCommands
@@ -269,7 +270,7 @@ class Command:
                     self._begun.set()
                 back = f"the dispatcher died and is back; attaching to number {self._number}"
                 self._told.put(Progress(self, None, "", back, "running"))
-                again = ExecuteCommand.Goal(attach=True, command_id=self._number, symbol=self.symbol)
+                again = message_of(ExecuteCommand.Goal, attach=True, command_id=self._number, symbol=self.symbol)
                 outcome = self._outcome_of(again)
             self._outcome = outcome
             if not outcome.success:

@@ -2,7 +2,9 @@
 
 import concurrent.futures
 import itertools
+import math
 import os
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +21,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
+from im.messages import message_of
 from im.waits import wait_for
 from im_core.ros.rclpy_fixes.bounded_end import bounded_end
 
@@ -30,6 +33,10 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 EVENTS = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 
 _POLL_S = 0.02
+#: How often a wait for an answer looks whether the task still lives that was asked [s].
+_LOOK_S = 0.5
+#: Of DDS: a higher domain has no ports, and Fast DDS ends the process.
+_MOST_DOMAIN = 232
 _NUMBERS = itertools.count(1)
 
 
@@ -43,9 +50,18 @@ class Connection:
         name: Name of the node; owner of what the client reserves.
         domain: ROS domain.
         node: The node.
+        living: Returns, for the name of a service, an action or a topic, a check whether the task that has it now will
+            still answer; the check raises :class:`im.UnreachableError`. Set by :class:`im.heartbeats.Heartbeats`.
+
+    Raises:
+        MachineError: There is no such domain.
     """
 
     def __init__(self, domain: int | None = None) -> None:
+        named = os.environ.get("ROS_DOMAIN_ID") or 0 if domain is None else domain
+        if not re.fullmatch("[0-9]{1,3}", str(named)) or int(named) > _MOST_DOMAIN:
+            raise MachineError(f"{named!r:.60} is no ROS domain: a number from 0 to {_MOST_DOMAIN}", "argument")
+        self.living: Callable[[str], Callable[[], None]] = lambda name: lambda: None
         self.name = f"im_client_{os.getpid()}_{next(_NUMBERS)}"
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
@@ -71,14 +87,17 @@ class Connection:
 
         Raises:
             UnreachableError: No server, or no answer.
+            MachineError: A value does not fit the type of its field.
         """
+        request = message_of(kind.Request, **fields)
         if service not in self._clients:
             self._clients[service] = self.inside(lambda: self.node.create_client(kind, service))
         client = self._clients[service]
-        self.until(client.service_is_ready, f"the service {service}", patience)
-        future = self.inside(lambda: client.call_async(kind.Request(**fields)))
+        self.until(client.service_is_ready, f"the service {service}", patience, service)
+        lives = self.living(service)
+        future = self.inside(lambda: client.call_async(request))
         try:
-            return self.result(future, f"an answer of {service}", patience)
+            return self.result(future, f"an answer of {service}", patience, lives)
         except UnreachableError:
             self.inside(lambda: client.remove_pending_request(future))
             raise
@@ -91,7 +110,7 @@ class Connection:
         """
         if name not in self._actions:
             self._actions[name] = self.inside(lambda: ActionClient(self.node, kind, name))
-        self.until(self._actions[name].server_is_ready, f"the action {name}", PATIENCE_S)
+        self.until(self._actions[name].server_is_ready, f"the action {name}", PATIENCE_S, name)
         return self._actions[name]
 
     def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> Subscription:
@@ -117,7 +136,8 @@ class Connection:
 
             self.subscribe(kind, topic, keep, LATCHED)
         last = self._latest[topic]
-        self.until(lambda: bool(last), f"a message on {topic}", timeout)
+        self.until(lambda: bool(last), f"a message on {topic}", timeout, topic)
+        self.living(topic)()  # the last message of a machine that has ended is none of the present
         return last[0]
 
     def inside(self, function: Callable[[], ResultT]) -> ResultT:
@@ -140,20 +160,35 @@ class Connection:
                 raise MachineError("the connection is closed")
         return outcome.result()
 
-    def result(self, future: Future, what: str, timeout: float = PATIENCE_S) -> Any:
+    def result(self, future: Future, what: str, timeout: float | None, lives: Callable[[], None]) -> Any:
         """Wait for a future, and return the result.
 
+        Args:
+            future: The future.
+            what: What is waited for.
+            timeout: Longest wait [s]; None: as long as the other side lives.
+            lives: Raises an error once the other side has died; see :attr:`living`.
+
         Raises:
-            UnreachableError: The result did not come in time.
+            UnreachableError: The result did not come in time, or the other side has died.
         """
         done = threading.Event()
         self.inside(lambda: future.add_done_callback(lambda _: done.set()))
-        if not wait_for(done, timeout):
-            raise UnreachableError(f"waited {timeout:g} s in vain for {what}")
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        while not wait_for(done, min(_LOOK_S, max(0.0, deadline - time.monotonic()))):
+            lives()
+            if time.monotonic() > deadline:
+                raise UnreachableError(f"waited {timeout:g} s in vain for {what}")
         return future.result()
 
-    def until(self, ready: Callable[[], bool], what: str, timeout: float) -> None:
+    def until(self, ready: Callable[[], bool], what: str, timeout: float, name: str = "/") -> None:
         """Wait until a condition holds.
+
+        Args:
+            ready: The condition.
+            what: What is waited for.
+            timeout: Longest wait [s].
+            name: Name of a service, an action or a topic, where its task may have ended for good.
 
         Raises:
             UnreachableError: The condition does not hold in time.
@@ -163,6 +198,7 @@ class Connection:
         while not self._closing:
             if ready():
                 return
+            self.living(name)()
             if time.monotonic() > deadline:
                 raise UnreachableError(f"waited {timeout:g} s in vain for {what} in ROS domain {self.domain}")
             time.sleep(_POLL_S)

@@ -1,5 +1,6 @@
 """Poses in the world, as numpy arrays."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,7 +59,8 @@ def require_pose(name: str, given: object) -> None:
 
 
 def _vector(name: str, values: Sequence[float], length: int) -> NDArray[np.float64]:
-    vector = np.asarray(values, dtype=float)
-    if vector.shape != (length,) or not np.isfinite(vector).all():
-        raise ValueError(f"{name} {values!r} is no vector of {length} finite numbers")
-    return vector
+    with contextlib.suppress(TypeError, ValueError):
+        vector = np.asarray(values, dtype=float)
+        if vector.shape == (length,) and np.isfinite(vector).all():
+            return vector
+    raise ValueError(f"{name} {values!r} is no vector of {length} finite numbers")

@@ -10,9 +10,10 @@ from action_msgs.msg import GoalStatus
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from im.connection import Connection
+from im.connection import PATIENCE_S, Connection
 from im.errors import MachineError, UnreachableError, require
 from im.geometry import Pose, require_pose
+from im.messages import message_of, number_of
 from im_msgs.action import Move
 from im_msgs.srv import (
     GetGroupState,
@@ -66,7 +67,7 @@ class Group:
         """
         owner, stop = self._connection.name, threading.Event()
         with contextlib.ExitStack() as undo:
-            self._told(ReserveGroup, "reserve", owner=owner, lease=float(lease))
+            self._told(ReserveGroup, "reserve", owner=owner, lease=lease)
             undo.callback(self._told, ReserveGroup, "release", owner=owner)
             if lease:
                 renewals = threading.Thread(target=self._renew, args=(stop, owner, lease / _RENEWALS), daemon=True)
@@ -124,8 +125,8 @@ class Arm(Group):
         """
         for name, given in (("pose", pose), ("via", via or pose)):
             require_pose(name, given)
+        goal = message_of(Move.Goal, speed_scale=speed_scale, until_force=until_force)
         wrist = pose.message(self.tool_pose)
-        goal = Move.Goal(speed_scale=float(speed_scale), until_force=float(until_force))
         if straight or via is not None:
             goal.arc = via is not None
             goal.line = [wrist] if via is None else [via.message(self.tool_pose), wrist]
@@ -152,28 +153,32 @@ class Arm(Group):
         if unknown := positions.keys() - present.keys():
             known = ", ".join(present)
             raise MachineError(f"group {self.name} has no joint {sorted(unknown)[0]}; there are {known}", "argument")
-        goal = {**present, **positions}
-        self._move(Move.Goal(path=_path(list(goal), list(goal.values())), speed_scale=float(speed_scale)))
+        goal = {**present, **{joint: number_of(joint, position) for joint, position in positions.items()}}
+        path = _path(list(goal), list(goal.values()))
+        self._move(message_of(Move.Goal, path=path, speed_scale=speed_scale))
 
     def _move(self, goal: Move.Goal) -> None:
         connection, name = self._connection, f"/{self.name}/move"
-        action = connection.action(Move, name)
+        action, lives = connection.action(Move, name), connection.living("/mcs")
         sent = connection.inside(lambda: action.send_goal_async(goal))
-        handle = connection.result(sent, f"the acceptance of a goal of {name}")
+        handle = connection.result(sent, f"the acceptance of a goal of {name}", PATIENCE_S, lives)
         if not handle.accepted:
             raise MachineError(f"{name} did not accept the goal", "state", {"group": self.name})
-        ended = threading.Event()
         future = connection.inside(handle.get_result_async)
-        connection.inside(lambda: future.add_done_callback(lambda _: ended.set()))
+
+        def moves() -> None:
+            lives()
+            if not action.server_is_ready():
+                raise UnreachableError(f"/mcs died before a motion of {self.name} had ended")
+
+        what = f"the end of a motion of {self.name}"
         try:
-            while not ended.wait(1.0):
-                if not action.server_is_ready():
-                    raise UnreachableError(f"/mcs died before a motion of {self.name} had ended")
+            answer = connection.result(future, what, None, moves)
         except KeyboardInterrupt:
             connection.inside(handle.cancel_goal_async)
-            ended.wait(10.0)
+            with contextlib.suppress(MachineError):
+                connection.result(future, what, 10.0, moves)
             raise
-        answer = future.result()
         if answer.status != GoalStatus.STATUS_SUCCEEDED or not answer.result.success:
             raise MachineError.of(answer.result.status)
 
@@ -210,9 +215,7 @@ class Gripper:
         return self._set(False, 0.0)
 
     def _set(self, close: bool, force: float) -> float:
-        answer = self._connection.call(
-            SetGripper, "/mcs/set_gripper", gripper=self.name, close=close, force=float(force)
-        )
+        answer = self._connection.call(SetGripper, "/mcs/set_gripper", gripper=self.name, close=close, force=force)
         return float(require(answer, gripper=self.name).opening)
 
 

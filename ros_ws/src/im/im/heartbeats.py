@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -41,6 +42,7 @@ class Heartbeats:
     def __init__(self, connection: Connection, watch: Watch | None = None) -> None:
         self._heard: dict[str, _Heard] = {}
         self._domain, self._watch = connection.domain, watch
+        connection.living = self.living
         profile = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # the last one of each, at once
         connection.subscribe(TaskStatus, TOPIC, self.hear, profile)
 
@@ -67,22 +69,38 @@ class Heartbeats:
         while not self._ready(task):
             waited = time.monotonic() - began
             if self._watch is None:
+                self.require(task)
                 if waited > timeout:
                     raise self._unheard(task, timeout)
             elif waited > FRESH_S and (why := self._watch(waited)):
                 raise UnreachableError(f"{task} is missing{why}")
             time.sleep(0.02)
 
-    def require(self, task: str) -> None:
+    def require(self, task: str, incarnation: int = 0) -> None:
         """Check for a chance of an answer by a task.
 
+        Args:
+            task: Name of the task; one that was never heard may answer.
+            incarnation: Incarnation that was asked; 0: any may answer.
+
         Raises:
-            UnreachableError: The task, or the whole machine, is silent.
+            UnreachableError: The task, or the whole machine, is silent, or another incarnation was asked.
         """
         heard = self._heard.get(task)
+        if incarnation and heard and heard.incarnation != incarnation:
+            raise UnreachableError(f"{task} died before it answered, and was started again")
         silent = time.monotonic() - heard.at if heard else 0.0
         if silent > FRESH_S and (why := (self._watch or self._why_silent)(silent)):
             raise UnreachableError(f"{task} is missing (last heard {silent:.1f} s ago){why}")
+
+    def living(self, name: str) -> Callable[[], None]:
+        """Return a check: does the present incarnation of a task still live?
+
+        Args:
+            name: Name of a service, an action or a topic, of which the first part is that of the task: ``/vss/snap``.
+        """
+        task = name.split("/")[1]
+        return partial(self.require, task, self.incarnation(task))
 
     def hear(self, message: TaskStatus) -> None:
         """Take a heartbeat."""

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import queue
 import re
 import signal
 import subprocess
@@ -19,17 +18,18 @@ from im.calibration import Calibration
 from im.commands import DISPATCHER, Command, control
 from im.connection import EVENTS, PATIENCE_S, Connection
 from im.errors import MachineError, require
+from im.firings import Firings, KnownNets
 from im.groups import Group
 from im.heartbeats import Heartbeats, Watch
+from im.messages import message_of, number_of
 from im.objects import DataObjects
 from im.vision import Camera, Position, stereo
-from im.waits import next_of
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Firing, McsState
 from im_msgs.srv import ListCommands, LoadNet, SetLight, UnloadNet
 
-#: Firings that an iteration keeps for a slow reader.
-_MOST_FIRINGS = 10_000
+#: Exit code of `start` for a wrong option, below a usage of several lines.
+_USAGE = 2
 
 
 class CalibrateCamera(Command):
@@ -56,7 +56,7 @@ class Machine:
         self._begun: list[Command] = []
         self._ends = contextlib.ExitStack()
         self._ends.enter_context(connection)
-        self.dom = DataObjects(connection)
+        self.dom, self._nets = DataObjects(connection), KnownNets(connection)
 
     @classmethod
     def connect(cls, domain: int | None = None, timeout: float = 10.0, watch: Watch | None = None) -> Self:
@@ -70,6 +70,7 @@ class Machine:
         Raises:
             UnreachableError: No machine was heard, or its Dispatcher is not ready.
         """
+        number_of("timeout", timeout)
         connection = Connection(domain)
         try:
             heartbeats = Heartbeats(connection, watch)
@@ -94,7 +95,7 @@ class Machine:
         environment = {**os.environ, **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)})}
         arguments = [text for name, value in options.items() for text in _option(name, value)]
         done = subprocess.run(
-            [_program("im_bringup", "start"), *filter(None, [deployment]), *arguments],
+            [_program("im_bringup", "start"), *filter(None, [str(deployment)]), *arguments],
             env=environment,
             capture_output=True,
             text=True,
@@ -102,7 +103,10 @@ class Machine:
         )
         if done.returncode:
             told = (done.stderr.strip() or done.stdout.strip()).splitlines()
-            raise MachineError("\n".join(told[-5:]) or f"start ended with {done.returncode}", "start")
+            last = max((number for number, line in enumerate(told) if line.startswith("start: ")), default=0)
+            if done.returncode != _USAGE:  # a list may stand below the last sentence, and what led to it above
+                last = min(last, len(told) - 5)
+            raise MachineError("\n".join(told[max(0, last) :]) or f"start ended with {done.returncode}", "start")
         stop = [_program("im_bringup", "stop")]
         try:
             machine = cls.connect(domain, PATIENCE_S)
@@ -197,6 +201,8 @@ class Machine:
             target: What the arm shows to the cameras: ``light`` or ``board``.
             accuracy: Expected error of a triangulated point, RMS, at which the command ends [m]; 0: after all poses.
         """
+        if not isinstance(cameras, list | tuple):
+            raise MachineError(f"cameras is {cameras!r:.60}; a list of names is needed, such as ['wall']", "argument")
         arguments: dict[str, object] = {"cameras": list(cameras), "target": target, "accuracy": accuracy}
         if poses_file:
             arguments["poses_file"] = poses_file
@@ -205,7 +211,7 @@ class Machine:
 
     def attach(self, number: int) -> Command:
         """Return a command by number, under way or ended lately."""
-        command: Command = self._follow(Command, ExecuteCommand.Goal(attach=True, command_id=number))
+        command: Command = self._follow(Command, message_of(ExecuteCommand.Goal, attach=True, command_id=number))
         return command
 
     @property
@@ -302,12 +308,19 @@ class Machine:
             source: Name of a text in messages; empty: ``net``. A file has its path.
 
         Raises:
-            MachineError: The net was refused; the firing sequence that shows why is the fact ``counterexample``.
+            MachineError: The file cannot be read, or the net was refused; the firing sequence that shows why is the
+                fact ``counterexample``.
         """
-        is_text = "\n" in str(net)
-        text = str(net) if is_text else Path(net).read_text(encoding="utf-8")
-        answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + wait, net_yaml=text, wait=wait)
-        named = source if is_text else str(net)
+        is_text, longest = "\n" in str(net), number_of("wait", wait)
+        try:
+            text = str(net) if is_text else Path(net).read_text(encoding="utf-8")
+        except (OSError, TypeError, ValueError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise MachineError(f"net file {net!s:.200} cannot be read: {why}", "file") from error
+        answer = self.connection.call(
+            LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, net_yaml=text, wait=longest
+        )
+        named = str(source if is_text else net)
         if named:  # the Dispatcher knows no name of a text
             answer.message = re.sub(r"^net(?=:\d+:)", lambda _: named, answer.message)
         return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
@@ -322,17 +335,23 @@ class Machine:
         Raises:
             MachineError: Something keeps the net.
         """
-        answer = self.connection.call(UnloadNet, "/dispatcher/unload_net", PATIENCE_S + wait, net=name, wait=wait)
+        longest = number_of("wait", wait)
+        answer = self.connection.call(UnloadNet, "/dispatcher/unload_net", PATIENCE_S + longest, net=name, wait=longest)
         require(answer, "net")
 
     @contextlib.contextmanager
-    def firings(self, net: str = "") -> Iterator["Firings"]:
+    def firings(self, net: str = "") -> Iterator[Firings]:
         """Follow the firings of the nets from now on, for the context.
 
         Args:
             net: Name of a net; empty: all nets.
+
+        Raises:
+            MachineError: There is no such net.
         """
-        firings = Firings(net)
+        if net:
+            self._nets.require(net)
+        firings = Firings(net, self._heartbeats)
         subscription = self.connection.subscribe(Firing, "/pnt/firings", firings.take, EVENTS)
         try:
             yield firings
@@ -386,9 +405,10 @@ class Machine:
             text = json.dumps(arguments, allow_nan=False, default=_plain)
         except (TypeError, ValueError) as error:
             raise MachineError(f"the arguments of {name} are no JSON: {error}", "argument") from error
-        if not -10 <= priority <= 10:
+        goal: ExecuteCommand.Goal = message_of(ExecuteCommand.Goal, symbol=name, arguments=text, priority=priority)
+        if not -10 <= goal.priority <= 10:
             raise MachineError(f"priority {priority} is not from -10 to 10", "argument")
-        return ExecuteCommand.Goal(symbol=name, arguments=text, priority=priority)
+        return goal
 
     def _follow(self, kind: Any, goal: ExecuteCommand.Goal) -> Any:
         command = kind(self.connection, self._heartbeats, goal)
@@ -402,37 +422,6 @@ class Machine:
 
     def _trigger(self, service: str) -> str:
         return str(require(self.connection.call(Trigger, service)).message)
-
-
-class Firings:
-    """Firings of nets, ``im_msgs/msg/Firing``: iterate for the next ones.
-
-    Args:
-        net: Name of a net; empty: all nets.
-    """
-
-    def __init__(self, net: str) -> None:
-        self._net = net
-        self._queue: queue.Queue[Firing] = queue.Queue(_MOST_FIRINGS)
-
-    def take(self, message: Firing) -> None:
-        """Keep a firing; of a slow reader's, the oldest go."""
-        if self._net in ("", message.net):
-            if self._queue.full():
-                with contextlib.suppress(queue.Empty):
-                    self._queue.get_nowait()
-            self._queue.put_nowait(message)
-
-    def __iter__(self) -> Iterator[Firing]:
-        """Iterate without end."""
-        while True:
-            yield next_of(self._queue)
-
-    def next(self, timeout: float) -> Firing | None:
-        """Return the next firing, None if there is none in time [s]."""
-        with contextlib.suppress(queue.Empty):
-            return self._queue.get(timeout=timeout)
-        return None
 
 
 def _program(package: str, executable: str) -> str:

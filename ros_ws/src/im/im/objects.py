@@ -9,6 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from im.connection import PATIENCE_S, Connection
 from im.errors import MachineError, require
+from im.messages import number_of
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
@@ -33,7 +34,8 @@ class DataObjects:
         Raises:
             MachineError: There is no valid object of the name.
         """
-        answer = self._ask(GetObject, "get", PATIENCE_S + wait, name=name, timeout=float(wait))
+        longest = number_of("wait", wait)
+        answer = self._ask(GetObject, "get", PATIENCE_S + longest, name=name, timeout=longest)
         return deserialize_message(bytes(answer.data), _type(answer.object.type))
 
     def put(self, name: str, message: Any) -> int:
@@ -101,10 +103,14 @@ def _data(message: Any) -> dict[str, Any]:
     """Return type and bytes of a message.
 
     Raises:
-        MachineError: It is no message.
+        MachineError: It is no message, or a field has a value of another type.
     """
     if not hasattr(type(message), "get_fields_and_field_types"):
         raise MachineError(f"{message!r:.60} is no ROS message, as std_msgs.msg.String(data='x') is", "argument")
     package, _, rest = type(message).__module__.partition(".")
     kind = f"{package}/{rest.partition('.')[0]}/{type(message).__name__}"
-    return {"type": kind, "data": array("B", serialize_message(message))}
+    try:
+        data = serialize_message(message)
+    except (TypeError, ValueError, OverflowError, SystemError) as error:
+        raise MachineError(f"a field of {message!r:.60} has a value of another type", "argument") from error
+    return {"type": kind, "data": array("B", data)}

@@ -133,4 +133,4 @@ def _spot(message: Any) -> Spot:
 
 
 def _ask(connection: Connection, kind: Any, service: str, cameras: list[str], exposure: float) -> Any:
-    return require(connection.call(kind, service, cameras=cameras, exposure=float(exposure)))
+    return require(connection.call(kind, service, cameras=cameras, exposure=exposure))

@@ -4,6 +4,7 @@ import contextlib
 import queue
 import threading
 import time
+from collections.abc import Callable
 from typing import TypeVar
 
 ItemT = TypeVar("ItemT")
@@ -25,8 +26,14 @@ def wait_for(event: threading.Event, timeout: float | None = None) -> bool:
     return event.wait(max(0.0, deadline - time.monotonic()))
 
 
-def next_of(items: "queue.Queue[ItemT] | queue.SimpleQueue[ItemT]") -> ItemT:
-    """Take the next item of a queue; waits without end."""
+def next_of(items: "queue.Queue[ItemT] | queue.SimpleQueue[ItemT]", look: Callable[[], None] = lambda: None) -> ItemT:
+    """Take the next item of a queue.
+
+    Args:
+        items: The queue.
+        look: Called after each slice of the wait; what it raises ends the wait.
+    """
     while True:
         with contextlib.suppress(queue.Empty):
             return items.get(timeout=_SLICE_S)
+        look()

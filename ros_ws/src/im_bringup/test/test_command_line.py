@@ -1,6 +1,7 @@
 """Commands on a command line: options, help and values from what the Dispatcher tells of them."""
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -185,6 +186,32 @@ def test_a_shell_completes_commands_options_and_choices(words, found, tmp_path):
         check=True,
     )
     assert done.stdout.strip() == found
+
+
+@pytest.mark.parametrize("domain", ["", "7"])
+def test_a_shell_that_only_sourced_the_completion_knows_the_machine_of_its_domain(tmp_path, domain):
+    scripts, run = tmp_path / "scripts", tmp_path / ".run" / f"im{domain or 0}"
+    for folder in (scripts, run):
+        folder.mkdir(parents=True)
+    shutil.copy(COMPLETION, scripts)
+    script = 'source "$1"; COMP_WORDS=(im run "$2"); COMP_CWORD=2; _im; echo "${COMPREPLY[*]}"'
+    environment = {"PATH": os.environ["PATH"], **({"ROS_DOMAIN_ID": domain} if domain else {})}
+
+    def completed(word):
+        argv = ["bash", "-c", script, "-", str(scripts / COMPLETION.name), word]
+        return subprocess.run(argv, env=environment, capture_output=True, text=True, check=True)
+
+    before = completed("--a")
+    assert (before.stdout, before.stderr) == ("--attach --abandon\n", "")
+    (run / "commands.txt").write_text(completions([MOVE, GRIP]))
+    assert completed("m").stdout == "move\n"
+
+
+def test_a_shell_completes_files_where_it_knows_no_names():
+    done = subprocess.run(
+        ["bash", "-c", 'source "$1"; complete -p im', "-", str(COMPLETION)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "complete -o default -F _im im\n"
 
 
 def test_names_for_a_shell_to_complete():

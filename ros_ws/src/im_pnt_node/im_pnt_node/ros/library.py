@@ -112,12 +112,12 @@ class Library:
         return kept
 
     def kept(self, net: Net) -> Net:
-        """Write a net down, if nets are kept; return the net with the new source."""
+        """Write a net down, if nets are kept; return the net with the new source, one of a given file with its own."""
         if self._kept is None:
             return net
         path = self._place(net.name, fingerprint(net))
         write_whole(path, yaml_text(net))
-        return replace(net, source=str(path))
+        return net if net in self.newer else replace(net, source=str(path))
 
     def tidy(self, nets: Iterable[Net]) -> None:
         """Remove the oldest kept files beyond the largest number.

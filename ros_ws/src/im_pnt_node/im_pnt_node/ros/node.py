@@ -197,7 +197,8 @@ class PntNode(ManagedNode):
         nets = {name: each.written for name, each in self.exchange.nets.items() if not each.written.former}
         self.nets = {name: net_digest(yaml_text(net)) for name, net in nets.items()}
         goes_on = journal is not None and journal.start(self.exchange, self._transport.link, held)
-        self._runner.surroundings.waits_for_all = goes_on or not self.get_parameter("standalone").value
+        under_way = goes_on and not all(executor.at_rest() for executor in self.exchange.nets.values())
+        self._runner.surroundings.waits_for_all = under_way or not self.get_parameter("standalone").value
         self.commands.restore(journal.lost if journal else "", sync=self._journal_sync is Sync.DISK)
         if stopped:
             for command in self.commands.open():
