@@ -28,7 +28,7 @@ _HAND_EYE = (cv2.CALIB_HAND_EYE_TSAI, cv2.CALIB_HAND_EYE_PARK, cv2.CALIB_HAND_EY
 _ROBOT_WORLD = (cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI)
 _BETTER, _RIVAL, _WRONG_SHARE = 5.0, 1.5, 0.02
 _FEWEST_SCALED, _SCALED = 8, 0.01
-_SCALE_DEVIATION, _LARGEST_SCALE = 0.03, 8.0
+_SCALE_DEVIATION = 0.03
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _DIGITS = 5
 
@@ -186,7 +186,7 @@ def _with_robot(robot: RobotPoses, seen: list[dict[int, Array]]) -> tuple[Array,
     undone = sorted((_least(frames_of(other), targets, views)[0], sentence) for sentence, other in slips)
     if undone and undone[0][0] < min(found[0] / _BETTER, limit):
         least = undone[0][0]
-        sentences = ", or ".join(sentence for misfit, sentence in undone if misfit < _RIVAL * least)
+        sentences = ", or ".join(sentence for misfit, sentence in undone if misfit <= _RIVAL * least)
         raise InconsistentDataError(
             f"The robot's poses and the target's do not belong together: they are off by {1e3 * found[0]:.2g} mm. "
             f"With {sentences}, they are off by {1e3 * least:.2g} mm.",
@@ -252,8 +252,6 @@ def _listed(transforms: Array) -> tuple[list[Array], list[Array]]:
 
 def _slip_of_lengths(robot: RobotPoses, targets: Array, views: NDArray[np.intp]) -> Iterator[tuple[str, RobotPoses]]:
     """Yield the factor of the robot's places by which they go with the target best, if it is not 1."""
-    if len(views) < _FEWEST_SCALED:
-        return
     g = frames_of(robot)[views]
     try:
         turn, _ = cv2.calibrateHandEye(*_listed(_inverse(g)), *_listed(targets), method=cv2.CALIB_HAND_EYE_PARK)
@@ -275,10 +273,9 @@ def _slip_of_lengths(robot: RobotPoses, targets: Array, views: NDArray[np.intp])
         if abs(factor / size - 1.0) < _SCALE_DEVIATION:
             yield f"places in {unit}", replace(robot, poses=poses)
             return
-    sentence = f"places {factor:.3g} times as far apart"
-    if 1.0 / _LARGEST_SCALE < factor < _LARGEST_SCALE:
-        sentence = f"the target {1.0 / factor:.3g} times as large, or {sentence}"
-    yield sentence, replace(robot, poses=poses)
+    if len(views) >= _FEWEST_SCALED:  # a factor makes a few views fit, whatever is wrong
+        sentence = f"the target {1.0 / factor:.3g} times as large, or places {factor:.3g} times as far apart"
+        yield sentence, replace(robot, poses=poses)
 
 
 def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:

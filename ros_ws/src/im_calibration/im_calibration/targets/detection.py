@@ -157,7 +157,7 @@ def _opencv_tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> tuple[li
         corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
         if ids is not None and (found is None or len(ids) > len(found[1])):
             # this refinement has the middle of a pixel at 0.5, as its makers' library
-            found = [np.reshape(each, (4, 2)) - 0.5 for each in corners], np.ravel(ids)
+            found = [np.reshape(each, (4, 2)).astype(float) - 0.5 for each in corners], np.ravel(ids)
             if len(ids) >= target.columns * target.rows:
                 break
     return found
