@@ -1,4 +1,4 @@
-"""Slips in rotations and axes, which data of lights and poses of robots have alike."""
+"""Slips in rotations and axes, common to data of lights and to poses of robots."""
 
 import warnings
 from collections.abc import Iterator

@@ -208,7 +208,7 @@ def named(text: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class _KnownIntrinsics:
-    """Intrinsics of a camera from elsewhere: lens model, fx, fy, cx, cy and coefficients, their covariance, image."""
+    """Intrinsics of a camera from elsewhere: lens model, fx, fy, cx, cy with coefficients, covariance, image size."""
 
     lens: str
     values: Array
@@ -225,7 +225,7 @@ def _given(name: str, path: Path, lens_model: str | None) -> _KnownIntrinsics:
 
 
 def _held(model: CameraModel) -> _KnownIntrinsics:
-    """Hold the intrinsics of a camera; a `plumb_bob` lens with a k3, which is none here, has a larger model."""
+    """Hold the intrinsics of a camera, a `plumb_bob` lens with a k3 by the model with more terms."""
     lens = model.lens if not np.any(model.D[model.lens.estimated :]) else RATIONAL_POLYNOMIAL
     D = np.pad(model.D, (0, max(0, lens.estimated - len(model.D))))[: lens.estimated]
     values = np.concatenate((model.K[[0, 1, 0, 1], [0, 1, 2, 2]], D))

@@ -251,7 +251,7 @@ def _listed(transforms: Array) -> tuple[list[Array], list[Array]]:
 
 
 def _slip_of_lengths(robot: RobotPoses, targets: Array, views: NDArray[np.intp]) -> Iterator[tuple[str, RobotPoses]]:
-    """Yield the factor of the robot's places by which they go with the target best, if it is not 1."""
+    """Yield the robot's poses with lengths of the best fit to the target, if these are others."""
     g = frames_of(robot)[views]
     try:
         turn, _ = cv2.calibrateHandEye(*_listed(_inverse(g)), *_listed(targets), method=cv2.CALIB_HAND_EYE_PARK)

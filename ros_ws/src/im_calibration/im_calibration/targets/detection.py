@@ -157,14 +157,15 @@ def _opencv_tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> tuple[li
         corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
         if ids is not None and (found is None or len(ids) > len(found[1])):
             # this refinement has the middle of a pixel at 0.5, as its makers' library
-            found = [np.reshape(each, (4, 2)).astype(float) - 0.5 for each in corners], np.ravel(ids)
+            moved = [np.asarray(np.reshape(each, (4, 2)) - 0.5, dtype=np.float64) for each in corners]
+            found = moved, np.ravel(ids)
             if len(ids) >= target.columns * target.rows:
                 break
     return found
 
 
 def markers_in(images: Sequence[Image]) -> tuple[str, list[int]]:
-    """Return the dictionary of most of the markers in images, and their numbers; empty if there are fewer than four.
+    """Return the dictionary of most of the markers in images, and the numbers; empty with fewer than four.
 
     Args:
         images: Grey images of 8 or 16 bits.
@@ -209,7 +210,7 @@ def _unshrunk(target: CalibrationTarget, points: Array) -> tuple[Array, Array]:
 
 
 def _inwards(corners: Array) -> Array:
-    """Return how corners of tags move where all edges move inwards by one pixel, shape (p, 2)."""
+    """Return the moves of corners of tags for all edges moved inwards by one pixel, shape (p, 2)."""
     tags = corners.reshape(-1, 4, 2)
     ways = [np.roll(tags, -step, axis=1) - tags for step in (1, -1)]
     units = [way / np.linalg.norm(way, axis=2, keepdims=True) for way in ways]
@@ -285,7 +286,7 @@ def _directions(homography: Array, flat: Array) -> Array:
 
 
 def _refined(image: Array, target: CalibrationTarget, points: Array, homography: Array) -> Detection | None:
-    """Fit the model of an x-corner around each point; None: these are no x-corners, as those of tags alone."""
+    """Fit the model of an x-corner around each point; None: the points are no x-corners, as of tags alone."""
     seen = np.flatnonzero(np.isfinite(points[:, 0]))
     axes = _directions(homography, target.points[seen, :2])
     sides = _clear(target) * np.linalg.norm(axes, axis=1).min(axis=1)

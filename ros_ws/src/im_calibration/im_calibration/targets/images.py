@@ -193,7 +193,7 @@ def _advice(tried: list[Image], target: CalibrationTarget) -> str:
 
 
 def _mistaken(target: CalibrationTarget) -> Iterator[tuple[CalibrationTarget, str]]:
-    """Yield targets that are mistaken for one, each with the mistake."""
+    """Yield targets often taken for a target, with the mistake."""
     columns, rows = target.columns, target.rows
     sizes = [(rows, columns, "rows and columns are exchanged")]
     if target.kind == "chessboard":

@@ -1,4 +1,4 @@
-"""Intrinsics of a camera as YAML, in the format of ROS's `camera_info_manager`; OpenCV's are read, too."""
+"""Intrinsics of a camera as YAML, in the format of ROS's `camera_info_manager` or of OpenCV."""
 
 import re
 from dataclasses import dataclass
@@ -152,7 +152,7 @@ class IntrinsicsFile(pydantic.BaseModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _lens_of_opencv(cls, content: Any) -> Any:
-        """Name the lens model of a file of OpenCV, which tells it by the number of coefficients, or as a fisheye."""
+        """Add the lens model to a file of OpenCV, by the number of coefficients or the mark of a fisheye."""
         match content:
             case {"distortion_model": _}:
                 return content
@@ -192,7 +192,7 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
 
 
 def plain_yaml(text: str) -> str:
-    """Return YAML of OpenCV's ``FileStorage`` without its own header and tags; other YAML is left as it is."""
+    """Return YAML of OpenCV's ``FileStorage`` without header and tags of OpenCV; other YAML stays unchanged."""
     return re.sub(r"\A%YAML[: ]", "#YAML ", text).replace("!!opencv-matrix", "")
 
 
