@@ -31,16 +31,24 @@ class Sensor:
         noise: Standard deviation of the noise, of full scale.
         gamma: Exponent of the sensor's curve; 1: linear.
         bits: 8 or 16.
+        exposure: Factor of the light; what is above full scale is cut off.
     """
 
     blur: float = 0.6
     noise: float = 0.01
     gamma: float = 1.0
     bits: int = 8
+    exposure: float = 1.0
 
 
-def brightness(target: CalibrationTarget, place: Array) -> Array:
-    """Return the brightness of places on the target, shape (..., 2) [m] -> (...); bright around the pattern."""
+def brightness(target: CalibrationTarget, place: Array, joined: bool = True) -> Array:
+    """Return the brightness of places on the target, shape (..., 2) [m] -> (...); bright around the pattern.
+
+    Args:
+        target: The target.
+        place: The places.
+        joined: Whether there are dark squares between the corners of tags.
+    """
     x, y = place[..., 0], place[..., 1]
     size, columns, rows = target.size, target.columns, target.rows
     if target.kind == "chessboard":
@@ -77,7 +85,7 @@ def brightness(target: CalibrationTarget, place: Array) -> Array:
             b = 1.0 - b
         at = np.stack((x + 0.5 * target.part, y + 0.5 * target.part), axis=-1) / pitch
         joint = np.abs(at - np.rint(at)) * pitch < 0.5 * target.part  # dark squares between the tags' corners
-        near = np.all((np.rint(at) >= 0) & (np.rint(at) <= (columns, rows)), axis=-1)
+        near = joined & np.all((np.rint(at) >= 0) & (np.rint(at) <= (columns, rows)), axis=-1)
         found = np.where(joint.all(axis=-1) & near, _DARK, found)
     u, v = np.floor(a * cells).astype(int), np.floor(b * cells).astype(int)
     marked = marked & (u >= 0) & (v >= 0) & (u < cells) & (v < cells)
@@ -112,7 +120,13 @@ def _standard_bits(number: int) -> NDArray[np.bool_]:
 
 
 def render(
-    target: CalibrationTarget, camera: CameraModel, rotation: Array, translation: Array, sensor: Sensor, seed: int = 0
+    target: CalibrationTarget,
+    camera: CameraModel,
+    rotation: Array,
+    translation: Array,
+    sensor: Sensor,
+    seed: int = 0,
+    joined: bool = True,
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Return the image of a target.
 
@@ -123,6 +137,7 @@ def render(
         translation: Of the target's origin in the world, shape (3,) [m].
         sensor: Blur, noise, curve.
         seed: Of the noise.
+        joined: Whether there are dark squares between the corners of tags.
     """
     # the inverse of the lens is smooth: a coarse grid of it, interpolated, is exact to 1e-4 px
     coarse_u, coarse_v = np.arange(-8.0, camera.width + 16.0, 8.0), np.arange(-8.0, camera.height + 16.0, 8.0)
@@ -136,9 +151,11 @@ def render(
         u = np.arange(camera.width) + (i + (j + 0.5) / _RAYS) / _RAYS - 0.5
         v = np.arange(camera.height) + (j + (i + 0.5) / _RAYS) / _RAYS - 0.5
         rays = np.stack((lens[0](v, u), lens[1](v, u), np.ones_like(light)), axis=-1) @ plane.T
-        light += brightness(target, rays[..., :2] / rays[..., 2:]) / _RAYS**2
+        light += brightness(target, rays[..., :2] / rays[..., 2:], joined) / _RAYS**2
     light = np.asarray(cv2.GaussianBlur(light, (0, 0), sensor.blur), dtype=np.float64)
     rng, full = np.random.default_rng(seed), 2.0**sensor.bits - 1.0
-    numbers = full * (np.clip(light, 0.0, 1.0) ** (1.0 / sensor.gamma) + rng.normal(0.0, sensor.noise, light.shape))
+    numbers = full * (
+        np.clip(sensor.exposure * light, 0.0, 1.0) ** (1.0 / sensor.gamma) + rng.normal(0.0, sensor.noise, light.shape)
+    )
     whole = np.clip(np.rint(numbers), 0.0, full)
     return whole.astype(np.uint8) if sensor.bits == 8 else whole.astype(np.uint16)

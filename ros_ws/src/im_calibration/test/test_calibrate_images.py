@@ -15,10 +15,12 @@ from scipy.spatial.transform import Rotation
 from bench.calibration.boards import Sensor, render
 from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
+from im_calibration.commands.images import _given
 from im_calibration.reporting import results
 from im_calibration.reporting.plots import plot_overlay
 from im_calibration.targets.detection import detect
 from im_calibration.targets.target import target_of
+from im_cell.calibration_files import camera_info_yaml
 from im_cell.camera_model import CameraModel
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -156,6 +158,44 @@ def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
     chain.write_text(chain.read_text().replace("radtan", "fov"))
     assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 1
     assert "cam0.distortion_model" in capsys.readouterr().err
+
+
+def test_intrinsics_of_opencv_are_held(scene, tmp_path):
+    for lens, coefficients in (("plumb_bob", D[:, None]), ("rational_polynomial", np.array([*D[:4], 0.01, 0, 0, 0]))):
+        storage = cv2.FileStorage(str(tmp_path / f"{lens}.yml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", 320)
+        storage.write("image_height", 240)
+        storage.write("camera_matrix", LEFT.K)
+        storage.write("distortion_coefficients", coefficients)
+        storage.release()
+    robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw")
+    given = ("--intrinsics", f"left={tmp_path / 'plumb_bob.yml'}")
+    assert calibrate(scene / "images", tmp_path / "results", *robot, *given) == 0
+    (camera,) = json.loads((tmp_path / "results" / "report.json").read_text())["cameras"]
+    np.testing.assert_allclose(camera["K"], LEFT.K, atol=1e-2)
+    found = _given("left", tmp_path / "rational_polynomial.yml", None)
+    assert found.lens == "rational_polynomial"
+    np.testing.assert_allclose(found.values[4:], [*D[:4], 0.01, 0, 0, 0])
+
+
+def test_a_lens_with_a_k3_is_held_as_the_larger_model(tmp_path):
+    camera = CameraModel(320, 240, LEFT.K, np.array([-0.2, 0.05, 0.001, 0.0, -0.01]))
+    (tmp_path / "left.yaml").write_text(camera_info_yaml("left", camera))
+    found = _given("left", tmp_path / "left.yaml", None)
+    assert found.lens == "rational_polynomial"
+    np.testing.assert_allclose(found.values[4:], [-0.2, 0.05, 0.001, 0.0, -0.01, 0.0, 0.0, 0.0])
+
+
+def test_intrinsics_of_other_images_are_refused(guide, scene, tmp_path, capsys):
+    twice = CameraModel(640, 480, np.diag([2.0, 2.0, 1.0]) @ LEFT.K, D)
+    (tmp_path / "left.yaml").write_text(camera_info_yaml("left", twice))
+    report = json.loads((guide / "left" / "report.json").read_text())
+    report["cameras"][0]["width"], report["cameras"][0]["height"] = 240, 320
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    for name, size in (("left.yaml", "640 x 480"), ("report.json", "240 x 320")):
+        given = ("--intrinsics", f"left={tmp_path / name}")
+        assert calibrate(scene / "images", tmp_path / "results", *given) == 1
+        assert f"{name}: is of images of {size} px, the images have 320 x 240 px." in capsys.readouterr().err
 
 
 def test_images_without_a_pose_of_the_robot_are_left_out(scene, tmp_path, capsys):

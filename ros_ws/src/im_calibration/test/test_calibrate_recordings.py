@@ -19,6 +19,7 @@ from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
 from im_calibration.recorded.image_message import grey_image
 from im_calibration.recorded.recordings import ImageRecording
+from im_calibration.recorded.transforms import tree_of_joints
 from im_calibration.targets.recorded_views import views_in_motion
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
@@ -305,6 +306,22 @@ def test_what_is_wrong_with_a_bag_is_one_sentence(run_of_robot, tmp_path, capsys
     assert calibrate(tmp_path / "results", "--bag", bag, *options) == 1
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
+
+
+def test_joint_states_in_degrees_are_told(tmp_path):
+    (urdf := tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+        '<child link="b"/><axis xyz="0 0 1"/><limit lower="-3.1" upper="3.1" effort="1" velocity="1"/></joint></robot>'
+    )
+    for i, angle in enumerate((90.0, np.deg2rad(90.0))):
+        state = TYPES["sensor_msgs/msg/JointState"](header(BEGIN), ["j"], np.array([angle]), np.zeros(0), np.zeros(0))
+        bag = write(tmp_path / f"bag{i}", [(BEGIN, "/joint_states", state)])
+        if angle > np.pi:
+            with pytest.raises(DataError, match=r"j at 90 rad, its limits are -3.1 and 3.1 rad; are the states in d"):
+                tree_of_joints(bag, urdf)
+        else:
+            pose = tree_of_joints(bag, urdf).poses("a", "b", np.array([BEGIN]))[0]
+            np.testing.assert_allclose(pose[:3, :3], Rotation.from_euler("z", angle).as_matrix(), atol=1e-12)
 
 
 GREY = np.random.default_rng(5).integers(0, 256, (6, 8)).astype(np.uint8)

@@ -203,6 +203,20 @@ def slipped(robot, how):
         ).as_matrix()
     elif how == "shifted":
         poses = np.roll(poses, 1, axis=0)
+    elif how == "centimetres":
+        poses[:, :3, 3] *= 1e2
+    elif how == "size":
+        poses[:, :3, 3] *= 1.2
+    elif how == "angles":
+        angles = Rotation.from_matrix(poses[:, :3, :3]).as_euler("xyz")
+        poses[:, :3, :3] = Rotation.from_euler("XYZ", angles).as_matrix()
+    elif how == "reversed":
+        poses[:, 1, 3] *= -1.0
+    elif how == "exchanged":
+        poses[:, :3, 3] = poses[:, [1, 0, 2], 3]
+    elif how == "left-handed":
+        mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+        poses = mirror @ poses @ mirror
     return poses
 
 
@@ -213,10 +227,17 @@ def slipped(robot, how):
         ("millimetres", "With places in millimetres"),
         ("order", "With quaternions read as"),
         ("shifted", "With the poses taken one image earlier"),
+        ("centimetres", "With places in centimetres, they are off by"),
+        ("size", "With the target 1.2 times as large, or places 0.83. times as far apart, they are off by"),
+        ("angles", "With Euler angles read as about fixed x, y, z, they are off by"),
+        ("reversed", "With y reversed in the places, they are off by"),
+        ("exchanged", "With x and y exchanged in the places, they are off by"),
+        ("left-handed", "With left-handed axes of the robot, or all images mirrored, they are off by"),
     ],
 )
-def test_slips_of_the_robot_are_named(how, told):
-    views = make_views("eye-to-hand", 7, target=SMALL).views
+@pytest.mark.parametrize("job", ["eye-to-hand", "eye-in-hand"])
+def test_slips_of_the_robot_are_named(job, how, told):
+    views = make_views(job, 7, target=SMALL).views
     wrong = replace(views, robot=replace(views.robot, poses=slipped(views.robot, how)))
     with pytest.raises(InconsistentDataError, match=told):
         problem_of_views(wrong, ())

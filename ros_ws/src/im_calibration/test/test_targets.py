@@ -1,5 +1,7 @@
 """Targets in rendered images of known truth: points to hundredths of a pixel, in the right order, with their noise."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -21,12 +23,12 @@ CAMERA = CameraModel(
 LINEAR = Sensor()
 
 
-def seen(text, sensor=LINEAR, turn=(0.25, -0.2, 0.15), distance=0.5):
+def seen(text, sensor=LINEAR, turn=(0.25, -0.2, 0.15), distance=0.5, joined=True):
     """Detection of a target in its image, and where its points are."""
     target = target_of(text)
     rotation = matrix_of_vector(turn)
     shift = np.array([0.01, -0.005, distance]) - rotation @ target.points.mean(axis=0)
-    image = render(target, CAMERA, rotation, shift, sensor)
+    image = render(target, CAMERA, rotation, shift, sensor, joined=joined)
     return detect(image, target), CAMERA.project(target.points @ rotation.T + shift)
 
 
@@ -79,6 +81,36 @@ def test_tags_as_kalibr_counts_them(tmp_path):
     assert np.nanmax(np.abs(found.points - truth)) < 0.1
 
 
+@pytest.mark.parametrize(
+    "sensor", [Sensor(), Sensor(gamma=2.2, blur=1.2), Sensor(exposure=1.8, blur=1.2)], ids=["linear", "gamma", "bright"]
+)
+def test_corners_of_tags_alone_do_not_depend_on_the_sensor(sensor):
+    found, truth = seen("tags:4x3:60mm:18mm:tag36h11", sensor, joined=False)
+    assert found.count == len(truth)
+    errors = found.points - truth
+    assert np.abs(errors.mean(axis=0)).max() < 0.1  # a pixel's middle is at 0 here
+    assert np.sqrt(np.mean(errors**2)) < 0.15
+    assert np.isnan(found.standard_deviations).all()
+
+
+@pytest.mark.parametrize(("text", "other", "told"), [
+    ("chessboard:8x5:30mm", "chessboard:8x6:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
+    ("chessboard:8x5:30mm", "chessboard:7x5:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
+    ("charuco:7x5:40mm:30mm:4X4_50", "charuco:6x4:40mm:30mm:4X4_50", "As {} it is found in 3 of 3: count its squares"),
+    ("charuco:7x5:40mm:30mm:4X4_50", "charuco:7x5:40mm:30mm:6X6_50", "Markers 0 to 16 of 4X4_50 are seen, 17 numbers"),
+    ("tags:4x3:60mm:18mm:tag25h9", "tags:4x3:60mm:18mm:tag36h11", "Markers 0 to 11 of APRILTAG_25H9 are seen, 12 numb"),
+    ("aprilgrid", "tags:4x3:60mm:18mm:tag36h11", "As {} it is found in 3 of 3: its rows are counted from the bottom"),
+])  # fmt: skip
+def test_what_is_seen_in_place_of_a_target_is_told(text, other, told, tmp_path):
+    target = replace(target_of(other), upwards=True) if text == "aprilgrid" else target_of(text)
+    rotation = matrix_of_vector([np.pi * target.upwards, 0.1, 0.1])
+    shift = np.array([0.0, 0.0, 0.5]) - rotation @ target.points.mean(axis=0)
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), render(target, CAMERA, rotation, shift, Sensor()))
+    with pytest.raises(DataError, match=told.format(target)):
+        find_target({"camera": tmp_path}, target_of(other))
+
+
 @pytest.mark.parametrize(("text", "other"), [
     ("tags:4x3:60mm:18mm:tag25h9", "tags:3x4:60mm:18mm:tag25h9"),
     ("charuco:7x5:40mm:30mm:4X4_50", "charuco:5x7:40mm:30mm:4X4_50"),
@@ -108,6 +140,7 @@ def test_nothing_is_found_where_nothing_is():
         ("chessboard:9x1:25mm", "The target has 1 rows, 2 to 100 are possible"),
         ("chessboard:9x6:25m", "A length of the target is 25 m, it must be > 0 and at most 10 m; is it in mm?"),
         ("charuco:7x5:30mm:40mm:4X4_50", "have 40 mm, they must be smaller than its squares of 30 mm"),
+        ("tags:1x1:80mm:20mm:tag36h11", "The target has 4 points, at least 8 are needed"),
         ("charuco:7x5:40mm:30mm:9X9_50", "'9X9_50' is no dictionary of markers; there are 4X4_50"),
     ],
 )

@@ -17,7 +17,7 @@ _CONVERGED_M = 1e-10
 
 @dataclass(frozen=True)
 class CalibrationError:
-    """Errors of estimated cameras at points of the workspace: the map of how good they are, place by place.
+    """Errors of estimated cameras at points of the workspace: a map of sizes.
 
     Attributes:
         points: The points, shape (m, 3) [m].

@@ -1,4 +1,4 @@
-"""Parameters of nets: what the cell has, for ``parameters:`` of a net file."""
+"""Parameters of nets from the cell, for ``parameters:`` of a net file."""
 
 import os
 from collections.abc import Mapping

@@ -7,6 +7,7 @@ import argparse
 import math
 import re
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,7 +21,7 @@ from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.reporting.results import write_observations
 from im_cell.calibration_files.intrinsics import read_intrinsics
 from im_cell.camera_model import CameraModel
-from im_cell.lens import PLUMB_BOB, lens_of
+from im_cell.lens import PLUMB_BOB, RATIONAL_POLYNOMIAL, lens_of
 from im_core.config import Model, faults, field_name, parse_model
 from im_core.errors import DataError
 from im_core.files import make_folder, read_text
@@ -129,7 +130,12 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         raise DataError(f"--intrinsics names {', '.join(sorted(foreign))}, --images {', '.join(sources)}.")
     motion = _motion(options) if options.camera and (options.base or options.robot) else None
     seen = find_target(sources, target, motion)
-    lenses = tuple(given[name][0] if name in given else options.lens_model or PLUMB_BOB.name for name in sources)
+    sizes = dict(zip(sources, seen.image_sizes, strict=True))
+    for name, path in options.intrinsics:
+        if given[name].size != sizes[name]:
+            told = "{} x {} px, the images have {} x {} px".format(*given[name].size, *sizes[name])
+            raise DataError(f"{path}: is of images of {told}.", camera=name)
+    lenses = tuple(given[name].lens if name in given else options.lens_model or PLUMB_BOB.name for name in sources)
     robot = None
     if options.robot or motion:
         if motion is not None and seen.stamps is not None:
@@ -140,7 +146,7 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
             poses = np.array([by_name[name] for name in seen.names])
         mm, mrad = options.sd_robot or (1.0, 2.0)
         robot = RobotPoses(poses, options.eye_in_hand, 1e-3 * mm, 1e-3 * mrad)
-    known = {name: (values, covariance) for name, (_, values, covariance) in given.items()}
+    known = {name: (each.values, each.covariance) for name, each in given.items()}
     views = TargetViews(
         str(target), target.points, tuple(sources), seen.image_sizes, lenses, seen.names, seen.spots, seen.deviations,
         robot, known,
@@ -200,18 +206,31 @@ def named(text: str) -> tuple[str, str]:
     return name, path
 
 
-def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, Array]:
-    """Return lens model, values and covariance of known intrinsics; without a covariance, hold the values."""
-    if path.suffix == ".json":
-        return _from_report(name, path)
-    model = _model(name, path)
-    lens = model.lens
-    if lens_model not in (None, lens.name):
-        raise DataError(f"{path}: the lens model is {lens.name}, --lens-model says {lens_model}.", file=str(path))
-    if np.any(model.D[lens.estimated :] != 0.0):
-        raise DataError(f"{path}: {lens.coefficients[lens.estimated]} is not 0, as it is here for {lens.name}.")
-    values = np.concatenate((model.K[[0, 1, 0, 1], [0, 1, 2, 2]], model.D[: lens.estimated]))
-    return lens.name, values, np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2
+@dataclass(frozen=True)
+class _KnownIntrinsics:
+    """Intrinsics of a camera from elsewhere: lens model, fx, fy, cx, cy with coefficients, covariance, image size."""
+
+    lens: str
+    values: Array
+    covariance: Array
+    size: tuple[int, int]
+
+
+def _given(name: str, path: Path, lens_model: str | None) -> _KnownIntrinsics:
+    """Return known intrinsics of a file; without a covariance, hold the values."""
+    found = _from_report(name, path) if path.suffix == ".json" else _held(_model(name, path))
+    if lens_model not in (None, found.lens):
+        raise DataError(f"{path}: the lens model is {found.lens}, --lens-model says {lens_model}.", file=str(path))
+    return found
+
+
+def _held(model: CameraModel) -> _KnownIntrinsics:
+    """Hold the intrinsics of a camera, a `plumb_bob` lens with a k3 by the model with more terms."""
+    lens = model.lens if not np.any(model.D[model.lens.estimated :]) else RATIONAL_POLYNOMIAL
+    D = np.pad(model.D, (0, max(0, lens.estimated - len(model.D))))[: lens.estimated]
+    values = np.concatenate((model.K[[0, 1, 0, 1], [0, 1, 2, 2]], D))
+    covariance = np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2
+    return _KnownIntrinsics(lens.name, values, covariance, (model.width, model.height))
 
 
 class _KalibrCamera(Model):
@@ -250,7 +269,7 @@ def _model(name: str, path: Path) -> CameraModel:
     return CameraModel(width, height, K, lens.all_of(camera.distortion_coeffs), distortion_model=lens.name)
 
 
-def _from_report(name: str, path: Path) -> tuple[str, Array, Array]:
+def _from_report(name: str, path: Path) -> _KnownIntrinsics:
     report = load_json(path)
     match report:
         case {"cameras": [*cameras]}:
@@ -258,6 +277,8 @@ def _from_report(name: str, path: Path) -> tuple[str, Array, Array]:
                 match camera:
                     case {
                         "name": str() as own,
+                        "width": int() as width,
+                        "height": int() as height,
                         "K": K,
                         "D": D,
                         "covariance": rows,
@@ -270,5 +291,5 @@ def _from_report(name: str, path: Path) -> tuple[str, Array, Array]:
                             np.linalg.cholesky(covariance)
                         except (ValueError, TypeError, IndexError, np.linalg.LinAlgError) as error:
                             raise DataError(f"{path}: K, D or covariance of {name} are not whole.") from error
-                        return model, values, covariance
-    raise DataError(f"{path}: has no camera {name} with K, D and covariance.", file=str(path))
+                        return _KnownIntrinsics(model, values, covariance, (width, height))
+    raise DataError(f"{path}: has no camera {name} with width, height, K, D and covariance.", file=str(path))

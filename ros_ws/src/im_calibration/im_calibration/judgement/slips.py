@@ -3,7 +3,6 @@
 Each slip is undone: the data are changed to what they would be without it. Whether that is so, a fit has to show.
 """
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -11,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.turn_slips import mirrored_axes, turn_slips, turned_axes
 
 Array = NDArray[np.float64]
 
 _MIRROR = np.diag([1.0, 1.0, -1.0])
-_EULER = (("ZYX", "XYZ"), ("XYZ", "ZYX"), ("ZYX", "zyx"), ("XYZ", "xyz"), ("ZYX", "xyz"))
-"""How Euler angles were read, and how they may be meant, capital letters about moving axes; others say the same."""
 _SHIFTS = ((1, "before"), (-1, "after"))
 _WORKSPACE_M = (0.02, 20.0)
 """What the positions of an arm extend over [m]: in a wrong unit, any spots fit positions that are all but one."""
@@ -76,43 +74,22 @@ def slips_of_cameras(problem: CalibrationProblem, cameras: list[int]) -> Iterato
 
 def _slips_of_wrists(problem: CalibrationProblem) -> Iterator[Slip]:
     """Yield wrist rotations that were read wrongly; they show in the LED's offset alone."""
-    from scipy.spatial.transform import Rotation  # loads for a third of a second, and few data sets have slips
-
     given = problem.wrist_rotations
     text = "The wrist's rotations are the wrong way round: with their inverses (wrist -> base)"
     yield Slip(text, _with_wrists(problem, np.swapaxes(given, 1, 2)))
-    turns = Rotation.from_matrix(given)
-    for order, read, right in (([1, 2, 3, 0], "x, y, z, w", "w, x, y, z"), ([3, 0, 1, 2], "w, x, y, z", "x, y, z, w")):
-        text = f"The wrist's quaternions are {right} and were read as {read}: in their own order"
-        yield Slip(text, _with_wrists(problem, Rotation.from_quat(turns.as_quat()[:, order]).as_matrix()))
-    for read, own in _EULER:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # where two axes are one, any share of the turn is as good
-            angles = turns.as_euler(read)
-        text = f"The wrist's Euler angles are {_axes_in_words(own)} and were read as {_axes_in_words(read)}: so turned"
-        yield Slip(text, _with_wrists(problem, Rotation.from_euler(own, angles).as_matrix()))
+    for slip in turn_slips(given):
+        how = "in their own order" if slip.numbers == "quaternions" else "so turned"
+        text = f"The wrist's {slip.numbers} are {slip.own} and were read as {slip.read}: {how}"
+        yield Slip(text, _with_wrists(problem, slip.turns))
     for shift, where in _SHIFTS:
         text = f"The wrist's rotations are those of the pose {where}: shifted by one"
         yield Slip(text, _with_wrists(problem, np.roll(given, -shift, axis=0)))
 
 
-def _axes_in_words(order: str) -> str:
-    return f"about {'moving' if order.isupper() else 'fixed'} {', '.join(order.lower())}"
-
-
 def _slips_of_axes(problem: CalibrationProblem) -> Iterator[Slip]:
     """Yield positions with other axes than the wrist's rotations."""
-    unit, letters = np.eye(3), "xyz"
-    mirrored, turned = list[tuple[str, Array]](), list[tuple[str, Array]]()
-    for i, letter in enumerate(letters):
-        first, second = (other for other in letters if other != letter)
-        one = np.outer(unit[i], unit[i])
-        mirrored.append((f"with {letter} reversed", unit - 2.0 * one))
-        mirrored.append((f"with {first} and {second} exchanged", unit[[i if k == i else 3 - i - k for k in range(3)]]))
-        turned.append((f"with {first} and {second} reversed", 2.0 * one - unit))
-    for order in ((1, 2, 0), (2, 0, 1)):
-        turned.append((f"with x, y, z taken from {', '.join(letters[i] for i in order)}", unit[list(order)]))
-    for text, axes, mirror in [(*one, True) for one in mirrored] + [(*one, False) for one in turned]:
+    axes_of = [(*each, True) for each in mirrored_axes()] + [(*each, False) for each in turned_axes()]
+    for text, axes, mirror in axes_of:
         what = "are mirrored" if mirror else "have other axes than the wrist's rotations"
         changed = replace(problem, positions=problem.positions @ axes.T, joint_offset_prior_sd=0.0)
         yield Slip(f"The positions {what}: {text}", changed, mirror)

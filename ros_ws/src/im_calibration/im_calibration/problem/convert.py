@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from im_calibration.problem.dataset import SCHEMA
+from im_cell.calibration_files.intrinsics import plain_yaml
 from im_core.config import FieldError, Model, parse_model
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, read_text
@@ -154,8 +155,7 @@ def read_opencv(path: Path) -> Sighting | BoardSighting:
         ConfigError: It is no such file; file and line are named.
         DataError: It cannot be read.
     """
-    text = re.sub(r"\A%YAML[: ]", "#YAML ", read_text(path, _LARGEST_FILE)).replace("!!opencv-matrix", "")
-    found = parse_model(text, _OpenCvFile, str(path))
+    found = parse_model(plain_yaml(read_text(path, _LARGEST_FILE)), _OpenCvFile, str(path))
     size = (found.image_width, found.image_height) if found.image_width and found.image_height else None
     if found.object_points is not None:
         return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)

@@ -20,6 +20,8 @@ TF, TF_STATIC, JOINT_STATES = "/tf", "/tf_static", "/joint_states"
 TF_TYPE, _JOINT_STATE = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/JointState"
 _WIDEST_GAP_NS, _NEAR_NS = 500_000_000, 20_000_000
 """Between samples farther apart nothing is interpolated; a sample is valid so long before and after."""
+_BEYOND_RAD = 0.5
+"""How far beyond the limits of its joint a real angle may be: limits of a description are those of the motion."""
 _WORDS_TUM = 8
 
 
@@ -145,7 +147,7 @@ def tree_of_joints(bag: Path, urdf: Path) -> TransformTree:
     """Return the links of a robot by its joint states in a bag; a message may hold some of the joints.
 
     Raises:
-        DataError: The bag cannot be read, or has no such topic.
+        DataError: The bag cannot be read, has no such topic, or has angles far beyond the limits of their joint.
         ConfigError: The description cannot be read.
     """
     description = parse_description(read_text(urdf), str(urdf))
@@ -155,7 +157,26 @@ def tree_of_joints(bag: Path, urdf: Path) -> TransformTree:
         for name, value in zip(message.content.name, message.content.position, strict=False):
             if np.isfinite(value):
                 samples.setdefault(name, []).append((stamp or message.logged_ns, float(value)))
+    for joint in description.joints:
+        _check_angles(joint, samples.get(joint.name, []), f"{bag}: {JOINT_STATES}")
     return TransformTree(dict(_link_tracks(description.joints, samples)), f"{urdf} with {JOINT_STATES} of {bag}")
+
+
+def _check_angles(joint: UrdfJoint, samples: list[tuple[int, float]], source: str) -> None:
+    """Check that angles of a joint are radians, by the joint's limits.
+
+    Raises:
+        DataError: One is far beyond the limits.
+    """
+    if joint.kind != "revolute" or joint.lower is None or joint.upper is None:
+        return
+    for _, angle in samples:
+        if not joint.lower - _BEYOND_RAD < angle < joint.upper + _BEYOND_RAD:
+            raise DataError(
+                f"{source} has {joint.name} at {angle:.4g} rad, its limits are {joint.lower:.4g} and "
+                f"{joint.upper:.4g} rad; are the states in degrees?",
+                joint=joint.name,
+            )
 
 
 def tree_of_file(path: Path, base: str, tool: str) -> TransformTree:

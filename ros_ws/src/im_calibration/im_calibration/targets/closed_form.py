@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.targets.views import RobotPoses, TargetViews
+from im_calibration.turn_slips import mirrored_axes, turn_slips, turned_axes
 from im_cell.camera_model import CameraModel
 from im_cell.lens import EQUIDISTANT, RATIONAL_POLYNOMIAL, lens_of
 from im_core.errors import DataError
@@ -25,7 +26,10 @@ _FEWEST_POINTS, _FEWEST_VIEWS, _MOST_VIEWS = 6, 3, 30
 _FEWEST_POSES = 3
 _HAND_EYE = (cv2.CALIB_HAND_EYE_TSAI, cv2.CALIB_HAND_EYE_PARK, cv2.CALIB_HAND_EYE_DANIILIDIS)
 _ROBOT_WORLD = (cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI)
-_BETTER, _WRONG_SHARE = 5.0, 0.02
+_BETTER, _RIVAL, _WRONG_SHARE = 5.0, 1.5, 0.02
+_FEWEST_SCALED, _SCALED = 8, 0.01
+_SCALE_DEVIATION = 0.03
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _DIGITS = 5
 
 
@@ -175,16 +179,19 @@ def _with_robot(robot: RobotPoses, seen: list[dict[int, Array]]) -> tuple[Array,
             parameters=("target.place",),
         )
     found = _least(frames_of(robot), targets, views)
-    size = float(np.linalg.norm(np.ptp(targets[:, :3, 3], axis=0)))
-    if found[0] > _WRONG_SHARE * size:
-        undone = [(_least(frames_of(other), targets, views)[0], sentence) for sentence, other in _slips(robot)]
-        least, sentence = min(undone)
-        if least < min(found[0] / _BETTER, _WRONG_SHARE * size):
-            raise InconsistentDataError(
-                f"The robot's poses and the target's do not belong together: they are off by {1e3 * found[0]:.2g} "
-                f"mm. {sentence} they are off by {1e3 * least:.2g} mm.",
-                "Correct the poses.",
-            )
+    limit = _WRONG_SHARE * float(np.linalg.norm(np.ptp(targets[:, :3, 3], axis=0)))
+    slips = list(_slip_of_lengths(robot, targets, views))
+    if found[0] > limit:
+        slips += _slips(robot)
+    undone = sorted((_least(frames_of(other), targets, views)[0], sentence) for sentence, other in slips)
+    if undone and undone[0][0] < min(found[0] / _BETTER, limit):
+        least = undone[0][0]
+        sentences = ", or ".join(sentence for misfit, sentence in undone if misfit <= _RIVAL * least)
+        raise InconsistentDataError(
+            f"The robot's poses and the target's do not belong together: they are off by {1e3 * found[0]:.2g} mm. "
+            f"With {sentences}, they are off by {1e3 * least:.2g} mm.",
+            "Correct what is named.",
+        )
     return frames_of(robot), found[1]
 
 
@@ -243,9 +250,36 @@ def _listed(transforms: Array) -> tuple[list[Array], list[Array]]:
     return list(transforms[:, :3, :3]), list(transforms[:, :3, 3])
 
 
+def _slip_of_lengths(robot: RobotPoses, targets: Array, views: NDArray[np.intp]) -> Iterator[tuple[str, RobotPoses]]:
+    """Yield the robot's poses with lengths of the best fit to the target, if these are others."""
+    g = frames_of(robot)[views]
+    try:
+        turn, _ = cv2.calibrateHandEye(*_listed(_inverse(g)), *_listed(targets), method=cv2.CALIB_HAND_EYE_PARK)
+    except cv2.error:
+        return
+    if not np.isfinite(turn).all():
+        return
+    # targets = X g Z: with the turn of X known, places are linear in those of X and Z and in the factor
+    turned = turn.T @ g[:, :3, :3]
+    moved = (turn.T @ g[:, :3, 3:])[..., 0]
+    columns = np.concatenate((turned, moved[..., None], np.tile(np.eye(3), (len(g), 1, 1))), axis=2)
+    solved, *_ = np.linalg.lstsq(columns.reshape(-1, 7), targets[:, :3, 3].ravel())
+    factor = float(solved[3])
+    if not factor > 0.0 or abs(factor - 1.0) < _SCALED:
+        return
+    poses = robot.poses.copy()
+    poses[:, :3, 3] *= factor
+    for unit, size in _UNITS.items():
+        if abs(factor / size - 1.0) < _SCALE_DEVIATION:
+            yield f"places in {unit}", replace(robot, poses=poses)
+            return
+    if len(views) >= _FEWEST_SCALED:  # a factor makes a few views fit, whatever is wrong
+        sentence = f"the target {1.0 / factor:.3g} times as large, or places {factor:.3g} times as far apart"
+        yield sentence, replace(robot, poses=poses)
+
+
 def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
-    """Yield common slips, each with the corrected poses."""
-    from scipy.spatial.transform import Rotation  # loads for a third of a second, and few data have slips
+    """Yield common slips in turns, axes and pairing, each with the corrected poses."""
 
     def other(turns: Array, shifts: Array) -> RobotPoses:
         poses = robot.poses.copy()
@@ -253,15 +287,17 @@ def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
         return replace(robot, poses=poses)
 
     turns, shifts = robot.poses[:, :3, :3], robot.poses[:, :3, 3]
-    yield "With places in millimetres,", other(turns, 1e-3 * shifts)
-    quaternions = Rotation.from_matrix(turns).as_quat()
-    for order, right in (([3, 0, 1, 2], "x, y, z, w"), ([1, 2, 3, 0], "w, x, y, z")):
-        yield f"With quaternions read as {right}", other(Rotation.from_quat(quaternions[:, order]).as_matrix(), shifts)
-    yield "With the rotations transposed", other(np.swapaxes(turns, 1, 2), shifts)
+    for slip in turn_slips(turns):
+        yield f"{slip.numbers} read as {slip.own}", other(slip.turns, shifts)
+    yield "the rotations transposed", other(np.swapaxes(turns, 1, 2), shifts)
     moved = "--eye-to-hand" if robot.camera_moves else "--eye-in-hand"  # which is the same as the other way round
-    yield f"With their inverses (base in the link), or {moved},", replace(robot, camera_moves=not robot.camera_moves)
+    yield f"their inverses (base in the link), or {moved}", replace(robot, camera_moves=not robot.camera_moves)
     for shift, where in ((1, "later"), (-1, "earlier")):
-        yield f"With the poses taken one image {where},", replace(robot, poses=np.roll(robot.poses, shift, axis=0))
+        yield f"the poses taken one image {where}", replace(robot, poses=np.roll(robot.poses, shift, axis=0))
+    for clause, axes in (*mirrored_axes(), *turned_axes()):
+        yield f"{clause.removeprefix('with ')} in the places", other(turns, shifts @ axes.T)
+    mirror = np.diag([1.0, -1.0, 1.0])
+    yield "left-handed axes of the robot, or all images mirrored", other(mirror @ turns @ mirror, shifts @ mirror)
 
 
 def _typical(transforms: Array) -> Array:

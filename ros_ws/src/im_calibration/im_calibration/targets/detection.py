@@ -6,6 +6,7 @@ whatever the blur and the gamma of the sensor, so that neither moves the fitted 
 sub-pixel detector for x-corners in camera calibration targets" (2005), who fit the saddle of the blurred image.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,13 +15,13 @@ import scipy
 from numpy.typing import NDArray
 
 from im_calibration.recorded.image_message import Image
-from im_calibration.targets.target import STANDARD_TAGS, CalibrationTarget
+from im_calibration.targets.target import DICTIONARIES, FEWEST_POINTS, STANDARD_TAGS, CalibrationTarget
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_FEWEST = 8
+_FEW_MARKERS, _MOST_MARKERS = 3, 100
 _MANY, _REWEIGHTINGS, _DETECTED_PX = 24, 6, 4.0
 _SHARE_OF_SQUARE, _LEAST_HALF, _LARGEST_HALF = 0.42, 3, 9
 _FIT_STEPS, _MOST_MOVED_PX, _CONTRAST = 8, 1.5, 4.0
@@ -65,7 +66,7 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
     grey = np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else _eight_bits(image)
     finders = {"chessboard": _chessboard, "charuco": _charuco, "tags": _tags}
     points = finders.get(target.kind, _circles)(grey, target)
-    if points is None or np.isfinite(points[:, 0]).sum() < _FEWEST:
+    if points is None or np.isfinite(points[:, 0]).sum() < FEWEST_POINTS:
         return None
     homography = _homography(target, points)
     if homography is None or _misfit(target, points) > _MISPLACED * _side(target, homography):
@@ -74,7 +75,9 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
         points, homography = _dark_first(grey, target, points, homography)
     if target.kind in ("circles", "asymmetric_circles") or target.dictionary == STANDARD_TAGS:
         return Detection(points, np.full(len(points), np.nan))
-    return _refined(np.asarray(image, dtype=float), target, points, homography)
+    starts = _unshrunk(target, points)[1] if target.kind == "tags" else points
+    found = _refined(np.asarray(image, dtype=float), target, starts, homography)
+    return found or Detection(points, np.full(len(points), np.nan))
 
 
 def _eight_bits(image: Image) -> NDArray[np.uint8]:
@@ -103,7 +106,7 @@ def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None
     for legacy in (False, True):  # boards with an even number of rows changed with OpenCV 4.6
         board.setLegacyPattern(legacy)
         corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-        if ids is not None and len(ids) >= _FEWEST:
+        if ids is not None and len(ids) >= FEWEST_POINTS:
             points[np.ravel(ids)] = np.reshape(np.asarray(corners), (-1, 2))
             return points
         if target.rows % 2:
@@ -128,7 +131,7 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
             best, least = flat, off
         if len(points) == 1:
             break
-    return best if best is None else _smoothed(target, best)
+    return best if best is None else _unshrunk(target, best)[0]
 
 
 def _standard_tags(grey: NDArray[np.uint8]) -> tuple[list[Array], Array] | None:
@@ -153,27 +156,66 @@ def _opencv_tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> tuple[li
         parameters.markerBorderBits = border
         corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
         if ids is not None and (found is None or len(ids) > len(found[1])):
-            found = [np.reshape(each, (4, 2)).astype(float) for each in corners], np.ravel(ids)
+            # this refinement has the middle of a pixel at 0.5, as its makers' library
+            moved = [np.asarray(np.reshape(each, (4, 2)) - 0.5, dtype=np.float64) for each in corners]
+            found = moved, np.ravel(ids)
             if len(ids) >= target.columns * target.rows:
                 break
     return found
 
 
-def _smoothed(target: CalibrationTarget, points: Array) -> Array:
-    """Return points of a flat target behind a lens, smoothed: a homography, and a polynomial beside."""
+def markers_in(images: Sequence[Image]) -> tuple[str, list[int]]:
+    """Return the dictionary of most of the markers in images, and the numbers; empty with fewer than four.
+
+    Args:
+        images: Grey images of 8 or 16 bits.
+    """
+    best, most = "", list[int]()
+    greys = [np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else _eight_bits(image) for image in images]
+    for name in DICTIONARIES:
+        every = CalibrationTarget("tags", _MOST_MARKERS, _MOST_MARKERS, 1.0, 1.0, name)
+        seen = [_standard_tags(grey) if name == STANDARD_TAGS else _opencv_tags(grey, every) for grey in greys]
+        numbers = sorted({int(number) for found in seen if found is not None for number in found[1]})
+        if len(numbers) > max(len(most), _FEW_MARKERS):
+            best, most = name, numbers
+    return best, most
+
+
+def _unshrunk(target: CalibrationTarget, points: Array) -> tuple[Array, Array]:
+    """Return the corners of tags without the shrinking of dark tags, and the same points smoothed.
+
+    Blur under the gamma or the saturation of a sensor moves all edges into the dark by about one distance, which the
+    distances of tags show. Smooth is what a homography and a polynomial describe, as of a flat target behind a lens.
+    """
     homography, seen = _homography(target, points), np.isfinite(points[:, 0])
     if homography is None or seen.sum() < _MANY:
-        return points
+        return points, points
     flat = _through(homography, target.points[:, :2])
     x, y = ((flat - flat[seen].mean(axis=0)) / np.std(flat[seen], axis=0).max()).T
     terms = np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+    both = np.zeros((len(points), 2, 2 * terms.shape[1] + 1))
+    both[:, 0, : terms.shape[1]] = both[:, 1, terms.shape[1] : -1] = terms
+    both[:, :, -1] = _inwards(flat)
     weights = np.ones(int(seen.sum()))
+    off = (points - flat)[seen]
     for _ in range(_REWEIGHTINGS):
-        bent, *_ = np.linalg.lstsq(terms[seen] * weights[:, None], (points - flat)[seen] * weights[:, None])
-        left = np.linalg.norm((points - flat)[seen] - terms[seen] @ bent, axis=1)
+        rows = (both[seen] * weights[:, None, None]).reshape(-1, both.shape[2])
+        solved, *_ = np.linalg.lstsq(rows, (off * weights[:, None]).ravel())
+        left = np.linalg.norm(off - both[seen] @ solved, axis=1)
         weights = 1.0 / (1.0 + left / max(float(np.median(left)), 1e-3))
-    near = np.linalg.norm(flat + terms @ bent - points, axis=1) < _DETECTED_PX
-    return np.where((seen & near)[:, None], flat + terms @ bent, points)
+    unshrunk = points - both[:, :, -1] * solved[-1]
+    smooth = flat + both[:, :, :-1] @ solved[:-1]
+    near = seen & (np.linalg.norm(smooth - unshrunk, axis=1) < _DETECTED_PX)
+    return unshrunk, np.where(near[:, None], smooth, points)
+
+
+def _inwards(corners: Array) -> Array:
+    """Return the moves of corners of tags for all edges moved inwards by one pixel, shape (p, 2)."""
+    tags = corners.reshape(-1, 4, 2)
+    ways = [np.roll(tags, -step, axis=1) - tags for step in (1, -1)]
+    units = [way / np.linalg.norm(way, axis=2, keepdims=True) for way in ways]
+    sine = np.abs(units[0][..., 0] * units[1][..., 1] - units[0][..., 1] * units[1][..., 0])
+    return np.asarray(((units[0] + units[1]) / np.maximum(sine, 1e-3)[..., None]).reshape(-1, 2))
 
 
 def _circles(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
@@ -243,8 +285,8 @@ def _directions(homography: Array, flat: Array) -> Array:
     return np.asarray((homography[None, :2, :2] - pixels[:, :, None] * homography[2, :2]) / moved[:, 2, None, None])
 
 
-def _refined(image: Array, target: CalibrationTarget, points: Array, homography: Array) -> Detection:
-    """Fit the model of an x-corner around each point; where none fits, keep the point of the detector."""
+def _refined(image: Array, target: CalibrationTarget, points: Array, homography: Array) -> Detection | None:
+    """Fit the model of an x-corner around each point; None: the points are no x-corners, as of tags alone."""
     seen = np.flatnonzero(np.isfinite(points[:, 0]))
     axes = _directions(homography, target.points[seen, :2])
     sides = _clear(target) * np.linalg.norm(axes, axis=1).min(axis=1)
@@ -256,8 +298,8 @@ def _refined(image: Array, target: CalibrationTarget, points: Array, homography:
         if len(group):
             refined[group], deviations[group] = _fit_corners(image, points[group], axes[wanted], half)
     fitted = np.isfinite(deviations)
-    if 2 * fitted.sum() < len(seen):  # these are no x-corners, as those of tags without squares between them
-        return Detection(points, np.full(len(points), np.nan))
+    if 2 * fitted.sum() < len(seen):
+        return None
     refined[~fitted] = np.nan
     off = np.linalg.norm(_through(homography, target.points[:, :2]) - refined, axis=1)
     lost = np.zeros(len(points), dtype=bool)

@@ -1,6 +1,6 @@
 """Images of a folder or a recording, and the views of a target in the images."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from im_calibration.recorded.image_message import Image
 from im_calibration.recorded.recordings import ImageRecording
-from im_calibration.targets.detection import detect
+from im_calibration.targets.detection import detect, markers_in
 from im_calibration.targets.recorded_views import Motion, views_at_rest, views_in_motion
 from im_calibration.targets.target import CalibrationTarget
 from im_calibration.targets.views import ShownViews
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _LARGEST_IMAGE, _MOST_IMAGES = 200 * MEBIBYTE, 5_000
-_BLANK, _FEWEST_VIEWS, _TRIED, _MOST_NAMES = 6.0, 3, 6, 10
+_BLANK, _FEWEST_VIEWS, _TRIED, _SEARCHED, _MOST_NAMES = 6.0, 3, 6, 2, 10
 
 
 @dataclass(frozen=True)
@@ -181,17 +181,33 @@ def _images(folder: Path) -> list[Path]:
 
 def _advice(tried: list[Image], target: CalibrationTarget) -> str:
     """Return advice, after a trial of the sizes for which such targets are mistaken."""
-    columns, rows = target.columns, target.rows
-    tries = [(rows, columns, "rows and columns are exchanged")]
-    if target.kind == "chessboard":
-        tries.append((columns - 1, rows - 1, "count its inner corners, not its squares"))
-    for other_columns, other_rows, meaning in tries:
-        if (other_columns, other_rows) == (columns, rows) or min(other_columns, other_rows) < 2:
-            continue
-        other = CalibrationTarget(
-            target.kind, other_columns, other_rows, target.size, target.part, target.dictionary, target.upwards
-        )
+    for other, meaning in _mistaken(target):
         found = sum(detect(image, other) is not None for image in tried)
         if found > len(tried) // 2:
             return f"As {other} it is found in {found} of {len(tried)}: {meaning}."
+    if target.dictionary:
+        dictionary, numbers = markers_in(tried[:_SEARCHED])
+        if dictionary:
+            return f"Markers {numbers[0]} to {numbers[-1]} of {dictionary} are seen, {len(numbers)} numbers."
     return "Check its rows, columns and dictionary, that it is whole, flat and sharp, with a bright rim around it."
+
+
+def _mistaken(target: CalibrationTarget) -> Iterator[tuple[CalibrationTarget, str]]:
+    """Yield targets often taken for a target, with the mistake."""
+    columns, rows = target.columns, target.rows
+    sizes = [(rows, columns, "rows and columns are exchanged")]
+    if target.kind == "chessboard":
+        sizes.append((columns - 1, rows - 1, "count its inner corners, not its squares"))
+        ones = ((-1, 0), (1, 0), (0, -1), (0, 1))
+        sizes += [(columns + x, rows + y, "count its inner corners again") for x, y in ones]
+    elif target.kind == "charuco":
+        sizes.append((columns + 1, rows + 1, "count its squares, not its inner corners"))
+    for other_columns, other_rows, meaning in sizes:
+        if (other_columns, other_rows) != (columns, rows) and min(other_columns, other_rows) >= 2:
+            yield replace(target, columns=other_columns, rows=other_rows), meaning
+    if target.kind == "tags":
+        upwards = replace(target, upwards=not target.upwards)
+        if upwards.upwards:
+            yield upwards, "its rows are counted from the bottom, as Kalibr does; give Kalibr's file of it"
+        else:
+            yield upwards, "its rows are counted from the top; give it in this form"

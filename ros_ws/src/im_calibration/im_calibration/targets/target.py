@@ -24,6 +24,8 @@ _FORMS = {
     "circles": "circles:COLUMNSxROWS:DISTANCE",
     "asymmetric_circles": "asymmetric_circles:COLUMNSxROWS:DISTANCE, the distance between rows",
 }
+FEWEST_POINTS = 8
+"""How many points of a target have to be seen in an image."""
 _KALIBR_TAGS = "APRILTAG_36H11"
 STANDARD_TAGS = "TAGSTANDARD41H12"
 """AprilTags of the third version, which have bits outside of their border; their size is that of the border."""
@@ -77,6 +79,8 @@ class CalibrationTarget:
             )
         if self.kind == "charuco" and self.dictionary == STANDARD_TAGS:
             raise DataError(f"A ChArUco board has no markers of {STANDARD_TAGS}; these are for tags.")
+        if (count := len(self.points)) < FEWEST_POINTS:
+            raise DataError(f"The target has {count} points, at least {FEWEST_POINTS} are needed; take a larger one.")
 
     @property
     def points(self) -> Array:

@@ -1,5 +1,6 @@
-"""Intrinsics of a camera as YAML, in the format of ROS's `camera_info_manager`."""
+"""Intrinsics of a camera as YAML, in the format of ROS's `camera_info_manager` or of OpenCV."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.lens import lens_of
-from im_core.config import FieldError, load_model
-from im_core.errors import DataError
+from im_core.config import FieldError, parse_model
+from im_core.errors import ConfigError, DataError
+from im_core.files import FileError, read_text
 
 Array = NDArray[np.float64]
 
@@ -147,6 +149,19 @@ class IntrinsicsFile(pydantic.BaseModel):
     rectification_matrix: Annotated[Matrix, _of_shape((3, 3))] | None = None
     projection_matrix: Annotated[Matrix, _of_shape((3, 4))] | None = None
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _lens_of_opencv(cls, content: Any) -> Any:
+        """Add the lens model to a file of OpenCV, by the number of coefficients or the mark of a fisheye."""
+        match content:
+            case {"distortion_model": _}:
+                return content
+            case {"fisheye_model": 1}:
+                return {**content, "distortion_model": "equidistant"}
+            case {"distortion_coefficients": {"data": [_, _, _, _, _, _, _, _]}}:
+                return {**content, "distortion_model": "rational_polynomial"}
+        return content
+
     @pydantic.model_validator(mode="after")
     def _plausible(self) -> Self:
         if why_not := implausible(self.camera_matrix.array, self.image_width, self.image_height):
@@ -169,7 +184,16 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
     Raises:
         ConfigError: It cannot be read, or is none; the message names file, line and field.
     """
-    return load_model(path, IntrinsicsFile)
+    try:
+        text = read_text(path)
+    except FileError as error:
+        raise ConfigError(error.message, file=str(path)) from error
+    return parse_model(plain_yaml(text), IntrinsicsFile, str(path))
+
+
+def plain_yaml(text: str) -> str:
+    """Return YAML of OpenCV's ``FileStorage`` without header and tags of OpenCV; other YAML stays unchanged."""
+    return re.sub(r"\A%YAML[: ]", "#YAML ", text).replace("!!opencv-matrix", "")
 
 
 def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None = None) -> str:

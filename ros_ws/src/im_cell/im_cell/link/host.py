@@ -180,7 +180,7 @@ class HostEnd(LinkEnd):
         return seconds
 
     def laser_command(self) -> LaserBeam:
-        """Return the commanded state of the laser scanner; the same object as long as it stays."""
+        """Return the commanded state of the laser scanner; the same object until the next state."""
         command = self._shared.view["laser_command"]
         if (numbers := command.tobytes()) != self._laser_numbers:
             self._laser_numbers, self._laser_command = numbers, LaserBeam(*np.frombuffer(numbers).tolist())
