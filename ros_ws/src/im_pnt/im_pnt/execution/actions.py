@@ -198,7 +198,7 @@ class Actions:
 
     def resume(self) -> None:
         """Go on with the actions running at the death of the process; others are reached once the node fires."""
-        why = ImError("the process of the net died and was restarted", code="restarted")
+        why = ImError("the process of the action died and was restarted", code="restarted")
         for activity in list(self._rule.activities.values()):
             index = self._rule.number[f"{activity.transition}.start"]
             if activity.reply is not None:
