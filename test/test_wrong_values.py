@@ -288,7 +288,7 @@ def test_all_readers_of_files_are_here():
         if re.search(r"[ (.](load_model|load_json)\(", path.read_text())
     }
     known = {"deployment", "poses_file", "design", "cell", "configuration", "settings", "catalogue", "truth"}
-    known |= {"covariance", "extrinsics", "laser", "folder"}  # test_calibration_files.py
+    known |= {"covariance", "extrinsics", "laser", "intrinsics", "folder"}  # test_calibration_files.py
     known |= {"dataset", "strategies", "config", "jsontext"}
     known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
     known |= {"results"}  # im_calibration/test/test_report.py

@@ -14,6 +14,8 @@ _QUATERNIONS = (([1, 2, 3, 0], "x, y, z, w", "w, x, y, z"), ([3, 0, 1, 2], "w, x
 _EULER = (("ZYX", "XYZ"), ("XYZ", "ZYX"), ("ZYX", "zyx"), ("XYZ", "xyz"), ("ZYX", "xyz"))
 """How Euler angles were read, and how they may be meant, capital letters about moving axes; others say the same."""
 
+_UNIT, _LETTERS = np.eye(3), "xyz"
+
 
 @dataclass(frozen=True)
 class TurnSlip:
@@ -57,19 +59,21 @@ def _in_words(order: str) -> str:
 
 
 def mirrored_axes() -> Iterator[tuple[str, Array]]:
-    """Yield changes of places to left-handed axes, a clause and a matrix each."""
-    unit, letters = np.eye(3), "xyz"
-    for i, letter in enumerate(letters):
-        first, second = (other for other in letters if other != letter)
-        yield f"with {letter} reversed", unit - 2.0 * np.outer(unit[i], unit[i])
-        yield f"with {first} and {second} exchanged", unit[[i if k == i else 3 - i - k for k in range(3)]]
+    """Yield changes of places to left-handed axes, a phrase and a matrix each."""
+    for i, letter, others in _axes():
+        yield f"{letter} reversed", _UNIT - 2.0 * np.outer(_UNIT[i], _UNIT[i])
+        yield f"{others} exchanged", _UNIT[[i if k == i else 3 - i - k for k in range(3)]]
 
 
 def turned_axes() -> Iterator[tuple[str, Array]]:
-    """Yield changes of places to other right-handed axes, a clause and a matrix each."""
-    unit, letters = np.eye(3), "xyz"
-    for i, letter in enumerate(letters):
-        first, second = (other for other in letters if other != letter)
-        yield f"with {first} and {second} reversed", 2.0 * np.outer(unit[i], unit[i]) - unit
+    """Yield changes of places to other right-handed axes, a phrase and a matrix each."""
+    for i, _, others in _axes():
+        yield f"{others} reversed", 2.0 * np.outer(_UNIT[i], _UNIT[i]) - _UNIT
     for order in ((1, 2, 0), (2, 0, 1)):
-        yield f"with x, y, z taken from {', '.join(letters[i] for i in order)}", unit[list(order)]
+        yield f"x, y, z taken from {', '.join(_LETTERS[i] for i in order)}", _UNIT[list(order)]
+
+
+def _axes() -> Iterator[tuple[int, str, str]]:
+    """Yield each axis: number, letter, and the letters of both others."""
+    for i, letter in enumerate(_LETTERS):
+        yield i, letter, " and ".join(_LETTERS.replace(letter, ""))

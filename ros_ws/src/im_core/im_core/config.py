@@ -104,20 +104,27 @@ def package_file(package: str, relative: str) -> Path:
     return path
 
 
-def load_model(path: str | Path, model: type[ModelT], *, within: Sequence[str | Path] = ()) -> ModelT:
+def load_model(
+    path: str | Path,
+    model: type[ModelT],
+    *,
+    within: Sequence[str | Path] = (),
+    plain: Callable[[str], str] = lambda text: text,
+) -> ModelT:
     """Read a YAML file into a model.
 
     Args:
         path: The file.
         model: The pydantic model it must satisfy.
         within: Folders that the opened file must lie in; empty: it may lie anywhere.
+        plain: Makes YAML of the text, line by line.
 
     Raises:
         ConfigError: The file is missing, lies outside of the folders, is not YAML, or breaks a rule of the model; one
             line a fault, each ``file:line: field: what is wrong``.
     """
     path = Path(path)
-    return cast(ModelT, _read(_text(path, within), model, str(path)))
+    return cast(ModelT, _read(plain(_text(path, within)), model, str(path)))
 
 
 @lru_cache(maxsize=16)

@@ -89,10 +89,10 @@ def _slips_of_wrists(problem: CalibrationProblem) -> Iterator[Slip]:
 def _slips_of_axes(problem: CalibrationProblem) -> Iterator[Slip]:
     """Yield positions with other axes than the wrist's rotations."""
     axes_of = [(*each, True) for each in mirrored_axes()] + [(*each, False) for each in turned_axes()]
-    for text, axes, mirror in axes_of:
+    for phrase, axes, mirror in axes_of:
         what = "are mirrored" if mirror else "have other axes than the wrist's rotations"
         changed = replace(problem, positions=problem.positions @ axes.T, joint_offset_prior_sd=0.0)
-        yield Slip(f"The positions {what}: {text}", changed, mirror)
+        yield Slip(f"The positions {what}: with {phrase}", changed, mirror)
 
 
 def _with_wrists(problem: CalibrationProblem, rotations: Array) -> CalibrationProblem:

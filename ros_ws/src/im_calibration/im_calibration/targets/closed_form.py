@@ -294,8 +294,8 @@ def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
     yield f"their inverses (base in the link), or {moved}", replace(robot, camera_moves=not robot.camera_moves)
     for shift, where in ((1, "later"), (-1, "earlier")):
         yield f"the poses taken one image {where}", replace(robot, poses=np.roll(robot.poses, shift, axis=0))
-    for clause, axes in (*mirrored_axes(), *turned_axes()):
-        yield f"{clause.removeprefix('with ')} in the places", other(turns, shifts @ axes.T)
+    for phrase, axes in (*mirrored_axes(), *turned_axes()):
+        yield f"{phrase} in the places", other(turns, shifts @ axes.T)
     mirror = np.diag([1.0, -1.0, 1.0])
     yield "left-handed axes of the robot, or all images mirrored", other(mirror @ turns @ mirror, shifts @ mirror)
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.lens import lens_of
-from im_core.config import FieldError, parse_model
-from im_core.errors import ConfigError, DataError
-from im_core.files import FileError, read_text
+from im_core.config import FieldError, load_model
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -184,11 +183,7 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
     Raises:
         ConfigError: It cannot be read, or is none; the message names file, line and field.
     """
-    try:
-        text = read_text(path)
-    except FileError as error:
-        raise ConfigError(error.message, file=str(path)) from error
-    return parse_model(plain_yaml(text), IntrinsicsFile, str(path))
+    return load_model(path, IntrinsicsFile, plain=plain_yaml)
 
 
 def plain_yaml(text: str) -> str:
