@@ -18,6 +18,7 @@ from std_msgs.msg import String
 
 from im import Command, CommandFailedError, Machine, MachineError, UnreachableError
 from im.commands import Progress
+from im.groups import Group
 from im.messages import message_of
 from im_core import clock
 from im_core.processes.startup import STATUS_TOPIC
@@ -333,6 +334,12 @@ def test_a_value_of_a_wrong_type_is_named_and_nothing_is_sent(machine):
         with pytest.raises(MachineError, match=sentence):
             call()
     assert not node.begun
+
+
+@pytest.mark.parametrize("lease", [1e-9, -3, float("nan"), "long"])
+def test_a_lease_that_cannot_be_renewed_in_time_is_refused_and_nothing_is_reserved(lease):
+    with pytest.raises(MachineError, match="lease is"), Group(None, "left").reserved(lease):
+        pytest.fail("the group was reserved")
 
 
 def test_numbers_of_numpy_and_whole_numbers_fit_their_fields():

@@ -26,6 +26,8 @@ from im_msgs.srv import (
 
 #: A lease [s] is renewed so many times before it lapses; in real time.
 _RENEWALS = 6
+#: A shorter one [s] would lapse between two renewals.
+_SHORTEST_LEASE_S = 0.1
 
 
 class Group:
@@ -63,8 +65,12 @@ class Group:
             lease: Time after which the reservation lapses where this client dies [s]; 0: never.
 
         Raises:
-            MachineError: The group is another owner's, or a transition is refused.
+            MachineError: The group is another owner's, a transition is refused, or the lease is too short.
         """
+        lease = number_of("lease", lease)
+        if lease and lease < _SHORTEST_LEASE_S:
+            told = f"lease is {lease:g} s, neither 0 nor at least {_SHORTEST_LEASE_S} s"
+            raise MachineError(told, "argument", {"field": "lease"})
         owner, stop = self._connection.name, threading.Event()
         with contextlib.ExitStack() as undo:
             self._told(ReserveGroup, "reserve", owner=owner, lease=lease)

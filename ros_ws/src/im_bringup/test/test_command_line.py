@@ -173,9 +173,15 @@ def test_a_command_that_the_cell_lacks_parts_for_names_them():
         (["im", "run", "move", "--"], "--group --poses-file --joints --count --slow --priority --json --help"),
         (["im", "run", "move", "--group", ""], "left right"),
         (["im", "run", "move", "--slow", "t"], "true"),
+        (["im", "run", "--cancel", ""], "6 17"),
+        (["im", "run", "--abandon", "1"], "17"),
+        (["im", "cell", "check", "pu"], "puma_pair"),
+        (["im", "dom", "a"], "append"),
+        (["im", "dom", "append", ""], ""),
     ],
 )
-def test_a_shell_completes_commands_options_and_choices(words, found, tmp_path):
+def test_a_shell_completes_commands_options_choices_and_numbers(words, found, tmp_path):
+    (tmp_path / "numbers.txt").write_text("6\n17\n")
     (tmp_path / "commands.txt").write_text(completions([MOVE, GRIP]))
     script = 'source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _im; echo "${COMPREPLY[*]}"'
     done = subprocess.run(
