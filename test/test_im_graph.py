@@ -351,7 +351,8 @@ def test_a_shell_completes_the_verbs_that_there_are(kind):
 def test_a_shell_completes_the_verbs_of_other_subcommands(subcommand):
     refused = subprocess.run([ROOT / "scripts" / "im", subcommand, "nonsense"], capture_output=True, text=True)
     verbs = re.findall(r"'(\w+)'", refused.stderr.rpartition("choose from")[2])
-    assert verbs and completed(subcommand, "") == sorted(verbs)
+    assert verbs
+    assert completed(subcommand, "") == sorted(verbs)
 
 
 def test_a_shell_completes_the_names_that_were_listed_last(im):
