@@ -496,3 +496,17 @@ def test_what_services_and_actions_carry_is_in_the_bag(recorder, ros, wait_until
     ids = [bytes(each.request[0].goal_info.goal_id.uuid) for each in cancels]
     assert ids == [bytes(goals[1].request[0].goal_id.uuid)] == [bytes(results[1].request[0].goal_id.uuid)]
     assert results[1].response[0].status == GoalStatus.STATUS_CANCELED
+
+
+def test_a_recording_that_has_begun_has_all_that_known_publishers_send_from_then_on(recorder, ros, wait_until):
+    """Many topics, each with one message right after the recorder has said that it records."""
+    node = Node("source")
+    publishers = [node.create_publisher(String, f"/many/topic_{number}", 10) for number in range(40)]
+    ros(node)
+    child = recorder()
+    for publisher in publishers:
+        publisher.publish(String(data="once"))
+    for publisher in publishers:
+        wait_until(publisher.wait_for_all_acked, f"the message of {publisher.topic_name} to arrive")
+    end(child, signal.SIGINT, wait_until)
+    assert f"record: {len(publishers)} messages of" in child.out.read_text()

@@ -3,7 +3,7 @@
 import argparse
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ DRAIN_PERIOD_S = 0.5
 #: know of it a little later, and if it does not come to know them [s].
 HANDOVER_S = 1.0
 HANDOVER_AT_MOST_S = 5.0
+#: A recorder says that it records once all publishers are connected; where none is found, and where some are not
+#: connected, after so long [s].
+ALONE_AFTER_S, SETTLED_AFTER_S = 2.0, 5.0
 #: Topics of service events, which are hidden.
 SERVICE_EVENTS = "/_service_event"
 #: Ends of topics with the images of others once more, as image_transport and image_proc name them.
@@ -72,9 +75,10 @@ class RecordedTopic:
             )
         )
 
-    def is_connected(self, publishers: int) -> bool:
-        """Whether the subscription is connected to so many publishers."""
-        return bool(self._ends[-1].handle.get_publisher_count() >= publishers)
+    def is_connected(self, publishers: int | None = None) -> bool:
+        """Whether the subscription is connected to so many publishers; None: to all of its type."""
+        wanted = self._count_publishers() if publishers is None else publishers
+        return bool(self._ends[-1].handle.get_publisher_count() >= wanted)
 
     def take(self) -> Iterator[Taken]:
         """Yield the received messages, each once; the messages of one publisher stay in order."""
@@ -83,7 +87,7 @@ class RecordedTopic:
             yield from _taken(self._ends[0])
             return
         now = clock.monotonic()
-        if replaced and self.is_connected(self._count_publishers()):
+        if replaced and self.is_connected():
             self._until = min(self._until, now + HANDOVER_S)
         newest_first = [list(_taken(subscription)) for subscription in reversed(self._ends)]
         for messages in reversed(newest_first):  # the oldest, looked at last, has what the others had and what preceded
@@ -124,10 +128,14 @@ class BagRecorder:
         self._only = set(only)
         self._refused: set[str] = set()
         self._topics: dict[str, RecordedTopic] = {}
+        self._seen = 0
         self._wake, self._end = threading.Event(), threading.Event()
 
-    def record(self) -> None:
+    def record(self, begun: Callable[[], None]) -> None:
         """Record until :meth:`request_stop`.
+
+        Args:
+            begun: Called once all present publishers are connected: what they send from then on is recorded.
 
         Raises:
             StoreError: The disk is full, or nearly so.
@@ -135,6 +143,7 @@ class BagRecorder:
         graph = GraphWatch(self._node, self._wake.set)
         try:
             due = clock.monotonic() + DRAIN_PERIOD_S
+            settled, began = False, clock.monotonic()
             while not self._end.is_set():
                 if self._wake.wait(max(0.0, due - clock.monotonic())):
                     self._wake.clear()
@@ -143,9 +152,17 @@ class BagRecorder:
                     due = clock.monotonic() + DRAIN_PERIOD_S
                     self.drain()
                     self._bag.flush()
+                    if not settled and (settled := self._is_settled(due - began)):
+                        begun()
             self.drain()
         finally:
             graph.stop()
+
+    def _is_settled(self, after_s: float) -> bool:
+        """Whether the topics are those of the last call, and all connected, or the time for that is over."""
+        before, self._seen = self._seen, len(self._topics)
+        same = before == self._seen and (before > 0 or after_s >= ALONE_AFTER_S)
+        return after_s >= SETTLED_AFTER_S or (same and all(topic.is_connected() for topic in self._topics.values()))
 
     def request_stop(self) -> None:
         """End :meth:`record` soon; from any thread."""
@@ -296,10 +313,9 @@ def main() -> int:
         nodes.append(GuardedNode(name, context=context, enable_rosout=False, start_parameter_services=False))
     recorder = BagRecorder(nodes[0], nodes[1], bag, arguments.topics)
     heed_end_signals(lambda _: recorder.request_stop())
-    say(f"record: into {path}; Ctrl-C ends it")
     trouble: ImError | None = None
     try:
-        recorder.record()
+        recorder.record(lambda: say(f"record: into {path}; Ctrl-C ends it"))
     except StoreError as error:
         trouble = error
     finally:
