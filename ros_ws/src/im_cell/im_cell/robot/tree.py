@@ -18,6 +18,8 @@ SPEED_TIME_S, ACCELERATION_TIME_S = 0.25, 0.1
 """Times to full speed and to full acceleration, where a cell has no limits of acceleration and jerk."""
 FULL_TURNS, SLOW, GIVE = 2.0 * pi, 1.0, {"prismatic": 0.005}
 """Range of a joint without one [rad], speed [rad/s or m/s], and yield of a spring at full torque where no file says."""
+FASTEST = 30.0
+"""Speed of a joint [rad/s or m/s]: no arm is as fast, but one in degrees or millimetres seems to be."""
 ROTOR, FRICTION = 125.0, 0.02
 """Acceleration of an assumed rotor alone under full torque [1/s2], and its frictions as a share of full torque."""
 _ASSUMED_MOTOR = (
@@ -169,8 +171,16 @@ class Tree:
 
 
 def joint_of(joint: UrdfJoint, place: FixedFrame, drive: DriveSpec, encoder: EncoderSpec) -> Joint:
-    """Return a moving joint with its drive; missing data are assumed (:func:`assumptions`)."""
+    """Return a moving joint with its drive; missing data are assumed (:func:`assumptions`).
+
+    Raises:
+        ValueError: The limit of velocity has another unit, it seems.
+    """
     velocity = joint.velocity or SLOW
+    if velocity > FASTEST:
+        slides = joint.kind == "prismatic"
+        told = f"joint {joint.name} {'slides' if slides else 'turns'} at up to {velocity:g} {'m' if slides else 'rad'}/s"
+        raise ValueError(f"{told}: its limit of velocity has {'millimetres' if slides else 'degrees'}, it seems")
     lower, upper = joint.lower, joint.upper or 0.0
     if lower is None or joint.kind == "continuous":  # limits of such joints mean nothing, though files have them
         lower, upper = -FULL_TURNS, FULL_TURNS
