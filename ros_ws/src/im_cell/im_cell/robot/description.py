@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from im_cell.robot.parameters import Vector
+from im_cell.robot.parameters import Vector, require_radians
 from im_core.errors import ConfigError, shortened
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -286,10 +286,13 @@ def _origin(element: ET.Element | None, of: str) -> tuple[Vector, Vector]:
     if element is None or origin is None:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     (x, y, z), (roll, pitch, yaw) = (_numbers(origin.get(key, "0 0 0"), 3, of) for key in ("xyz", "rpy"))
+    what = of if element.tag == "joint" else f"{of}: its <{element.tag}>"
     if (far := max(x, y, z, key=abs)) > _LARGEST_M or far < -_LARGEST_M:
-        what = "is" if element.tag == "joint" else f"has its <{element.tag}>"
-        raise ValueError(f"{of} {what} {far:g} m off: lengths are millimetres, it seems")
-    return (x, y, z), (roll, pitch, yaw)
+        raise ValueError(f"{what} is {far:g} m off: lengths are millimetres, it seems")
+    try:
+        return (x, y, z), require_radians((roll, pitch, yaw))
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
 
 
 def _number(element: ET.Element, key: str, of: str) -> float:

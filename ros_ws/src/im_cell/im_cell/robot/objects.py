@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.parameters import NonNegative, Positive, Size, Vector
+from im_cell.robot.parameters import NonNegative, Positive, Rpy, Size, Vector
 from im_cell.robot.scenery import Target
 from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy, quaternion_of_matrix
 from im_core.config import FieldError, Model
@@ -39,7 +39,7 @@ class FreeBody(Model):
     friction: NonNegative = 0.6
     color: Vector
     position: Vector
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Rpy = (0.0, 0.0, 0.0)
     fiducial: Annotated[int, Field(ge=0, lt=50)] | None = None
     fiducial_size: Positive = 0.04
 

@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from im_core.config import FieldError, Model
 
@@ -18,8 +18,22 @@ ToolPose = tuple[Number, Number, Number, Number, Number, Number, Number]
 Size = tuple[Positive, Positive, Positive]
 Source = Annotated[str, Field(min_length=1)]
 
+
+def require_radians(rpy: Vector) -> Vector:
+    """Refuse an orientation in degrees: roll, pitch and yaw [rad] of no file go beyond a full turn.
+
+    Raises:
+        ValueError: An angle does.
+    """
+    if (most := max(rpy, key=abs)) > _MOST_RPY or most < -_MOST_RPY:
+        raise ValueError(f"it is turned by {most:g} rad: angles are degrees, it seems")
+    return rpy
+
+
+Rpy = Annotated[Vector, AfterValidator(require_radians)]
+
 MOST_CORNERS, THINNEST_M = 64, 1e-4
-_LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
+_LEAST_GEAR, _MOST_PIXELS, _MOST_RPY = 1e-6, 10_000, 7.0
 _SAME_M, _PARALLEL, _UNIT = 1e-9, 1e-6, 1e-3
 
 
@@ -212,7 +226,7 @@ class CellMount(Model):
     """Pose of the URDF's root in the world [m, rad]."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Rpy = (0.0, 0.0, 0.0)
 
 
 class EncoderSpec(Model):

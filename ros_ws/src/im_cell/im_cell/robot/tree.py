@@ -179,8 +179,9 @@ def joint_of(joint: UrdfJoint, place: FixedFrame, drive: DriveSpec, encoder: Enc
     velocity = joint.velocity or SLOW
     if velocity > FASTEST:
         slides = joint.kind == "prismatic"
-        told = f"joint {joint.name} {'slides' if slides else 'turns'} at up to {velocity:g} {'m' if slides else 'rad'}/s"
-        raise ValueError(f"{told}: its limit of velocity has {'millimetres' if slides else 'degrees'}, it seems")
+        does, unit, other = ("slides", "m", "millimetres") if slides else ("turns", "rad", "degrees")
+        told = f"joint {joint.name} {does} at up to {velocity:g} {unit}/s"
+        raise ValueError(f"{told}: its limit of velocity has {other}, it seems")
     lower, upper = joint.lower, joint.upper or 0.0
     if lower is None or joint.kind == "continuous":  # limits of such joints mean nothing, though files have them
         lower, upper = -FULL_TURNS, FULL_TURNS
