@@ -8,13 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from im_cell.robot.parameters import Vector, require_radians
+from im_cell.robot.parameters import LARGEST_M, Vector, require_metres, require_radians
 from im_core.errors import ConfigError, shortened
 
 MOVING = ("revolute", "continuous", "prismatic")
 _MOST_LINKS = 500
-_LARGEST_M = 50.0
-"""Of an offset in a link, or half a shape: no cell is that large, but one in millimetres is."""
 _ROUNDING = 1e-6
 _LARGEST_RAD = 30.0
 """Of a limit of an angle: no joint with limits makes five turns to a side, but one in degrees seems to."""
@@ -231,7 +229,7 @@ def _shape(element: ET.Element, link: str) -> UrdfGeometry:
 def _sizes(size: tuple[float, ...], link: str) -> tuple[float, ...]:
     if min(size) <= 0.0:
         raise ValueError(f"{link}: a shape for collision has the size {min(size):g}; more than 0 is needed")
-    if max(size) > 2.0 * _LARGEST_M:
+    if max(size) > 2.0 * LARGEST_M:
         raise ValueError(f"{link}: a shape for collision is {max(size):g} m large: lengths are millimetres, it seems")
     return size
 
@@ -287,10 +285,8 @@ def _origin(element: ET.Element | None, of: str) -> tuple[Vector, Vector]:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     (x, y, z), (roll, pitch, yaw) = (_numbers(origin.get(key, "0 0 0"), 3, of) for key in ("xyz", "rpy"))
     what = of if element.tag == "joint" else f"{of}: its <{element.tag}>"
-    if (far := max(x, y, z, key=abs)) > _LARGEST_M or far < -_LARGEST_M:
-        raise ValueError(f"{what} is {far:g} m off: lengths are millimetres, it seems")
     try:
-        return (x, y, z), require_radians((roll, pitch, yaw))
+        return require_metres((x, y, z)), require_radians((roll, pitch, yaw))
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from error
 

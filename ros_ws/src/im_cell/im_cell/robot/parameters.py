@@ -11,15 +11,28 @@ from im_core.config import FieldError, Model
 _LARGEST = 1e9
 """Of any number; no cell has one near it, and products of them are numbers still."""
 Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
-Vector = tuple[Number, Number, Number]
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
 NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
 ToolPose = tuple[Number, Number, Number, Number, Number, Number, Number]
-Size = tuple[Positive, Positive, Positive]
 Source = Annotated[str, Field(min_length=1)]
 
 
-def require_radians(rpy: Vector) -> Vector:
+Three = tuple[Number, Number, Number]
+LARGEST_M, _MOST_RPY = 50.0, 7.0
+
+
+def require_metres(place: Three) -> Three:
+    """Refuse a place or a size in millimetres: no cell is as large as that.
+
+    Raises:
+        ValueError: A number is beyond what a cell has.
+    """
+    if (far := max(place, key=abs)) > LARGEST_M or far < -LARGEST_M:
+        raise ValueError(f"{far:g} m is beyond {LARGEST_M:g} m: lengths are millimetres, it seems")
+    return place
+
+
+def require_radians(rpy: Three) -> Three:
     """Refuse an orientation in degrees: roll, pitch and yaw [rad] of no file go beyond a full turn.
 
     Raises:
@@ -30,10 +43,12 @@ def require_radians(rpy: Vector) -> Vector:
     return rpy
 
 
-Rpy = Annotated[Vector, AfterValidator(require_radians)]
+Vector = Annotated[Three, AfterValidator(require_metres)]
+Size = Annotated[tuple[Positive, Positive, Positive], AfterValidator(require_metres)]
+Rpy = Annotated[Three, AfterValidator(require_radians)]
 
 MOST_CORNERS, THINNEST_M = 64, 1e-4
-_LEAST_GEAR, _MOST_PIXELS, _MOST_RPY = 1e-6, 10_000, 7.0
+_LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
 _SAME_M, _PARALLEL, _UNIT = 1e-9, 1e-6, 1e-3
 
 
