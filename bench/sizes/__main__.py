@@ -6,12 +6,12 @@ from pathlib import Path
 
 from bench.part import Part, Work
 from bench.sizes import arms, commands, nets, solver, subscribers
-from im_dispatcher.job import FEWEST_POSES
+from im_dispatcher.accuracy import FIRST_POSES
 from im_mcs.limits.configuration import load_config
 
 GROUPS = {
-    "solver": f"CPU time of the calibration of {FEWEST_POSES}, the fewest, to 200 poses",
-    "commands": f"the command with {FEWEST_POSES} to 200 poses, and with a bag that records all topics",
+    "solver": f"CPU time of the calibration of {FIRST_POSES} to 200 poses",
+    "commands": f"the command with {FIRST_POSES} to 200 poses, and with a bag that records all topics",
     "arms": "CPU time of a tick of servo and physics while one arm moves, and both",
     "nets": "CPU time of a firing and of a proof, nets of 10 to 1,000 places",
     "subscribers": "CPU time of a node's firing that 0 to 20 subscribers hear",
@@ -33,8 +33,8 @@ def _work(options: argparse.Namespace, folder: Path) -> Work:
     """What measures each group."""
     quick = options.quick
     return {
-        "solver": lambda: solver.lines((FEWEST_POSES, 40, 200), rounds=1 if quick else 3),
-        "commands": lambda: commands.lines((FEWEST_POSES, *((40,) if quick else (40, 100, 200))), options.port, folder),
+        "solver": lambda: solver.lines((FIRST_POSES, 40, 200), rounds=1 if quick else 3),
+        "commands": lambda: commands.lines((FIRST_POSES, *((40,) if quick else (40, 100, 200))), options.port, folder),
         "arms": lambda: arms.lines(load_config(None), moves=2 if quick else 6),
         "nets": lambda: nets.lines((10, 100, 1000), firings=10_000 if quick else 100_000),
         "subscribers": lambda: subscribers.lines((0, 1, 20) if quick else (0, 1, 5, 20), 2_000, folder),

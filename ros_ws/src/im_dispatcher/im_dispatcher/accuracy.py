@@ -17,9 +17,11 @@ from im_cell.camera_model import nominal
 from im_cell.motion_time import motion_times
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
-from im_dispatcher.job import FEWEST_POSES, problem_of_light
+from im_dispatcher.job import problem_of_light
 from im_dispatcher.poses_file import PosesFile
 
+#: Poses before the first calibration: with fewer it is too uncertain to choose the next pose by.
+FIRST_POSES = 12
 #: Looks of a visit, and what a visit takes besides the motion: the arm comes to rest, and is looked at [s].
 LOOKS, REST_S, LOOK_S = 4, 0.45, 0.05
 
@@ -64,7 +66,7 @@ def next_visits(
     seen = [each for looks in observed.values() for each in looks]
     count, expected, covariance = len(file.poses), None, None
     unknowns = unknowns_as_drawn([nominal(cell.cameras[name]) for name in cameras], count)
-    if len(observed) >= FEWEST_POSES:
+    if len(observed) >= FIRST_POSES:
         try:
             calibration = calibrate(problem_of_light(cameras, seen))
         except (DegenerateDataError, InconsistentDataError):
@@ -90,7 +92,7 @@ def next_visits(
     gone = {*observed, *coming, *barred}
     here = np.array(file.poses[coming[-1] - 1].joints) if coming else None
     chosen: list[int] = []
-    for _ in range(max(1, FEWEST_POSES - len({*observed, *coming}))):
+    for _ in range(max(1, FIRST_POSES - len({*observed, *coming}))):
         allowed = np.array([number not in gone for number in range(1, count + 1)])
         if (best := design.best(seconds_to(file, here), allowed)) is None:
             break

@@ -22,8 +22,8 @@ from im_cell.robot import Cell, load_cell
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
-#: Fewer poses cannot determine two cameras with eight intrinsics each and say how well.
-FEWEST_POSES = 12
+#: As many spots as the solver asks for, of a camera with the usual lens.
+FEWEST_POSES = 9
 
 #: Failures that concern one pose only; everything else concerns the machine.
 POSE_FAILURES = frozenset(

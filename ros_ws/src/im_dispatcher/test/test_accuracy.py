@@ -6,8 +6,8 @@ import pytest
 from bench.calibration.asked_accuracy import CAMERAS, asked_accuracy
 from im_cell.robot import load_cell
 from im_core.errors import DataError
-from im_dispatcher.accuracy import LOOKS, accuracy_reached, next_visits, seconds_to
-from im_dispatcher.job import FEWEST_POSES, order_of
+from im_dispatcher.accuracy import FIRST_POSES, LOOKS, accuracy_reached, next_visits, seconds_to
+from im_dispatcher.job import order_of
 from im_dispatcher.poses_file import load_named_poses
 
 OWN = load_named_poses("")
@@ -29,7 +29,7 @@ def test_the_accuracy_is_reached_in_half_of_the_time_of_all_poses_and_is_true(se
 
 def test_the_first_visits_are_as_many_as_a_calibration_needs_and_no_pose_comes_twice() -> None:
     visits = next_visits(OWN, CAMERAS, 1e-3, {}, (), ()).poses
-    assert len(set(visits)) == FEWEST_POSES
+    assert len(set(visits)) == FIRST_POSES
     assert all(visits.count(pose) == LOOKS for pose in visits)
     barred = visits[0]
     assert barred not in next_visits(OWN, CAMERAS, 1e-3, {}, (), (barred,)).poses

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.parameters import NonNegative, Positive, Rpy, Size, Vector
+from im_cell.robot.parameters import NonNegative, Place, Positive, Rpy, Size, Vector
 from im_cell.robot.scenery import Target
 from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy, quaternion_of_matrix
 from im_core.config import FieldError, Model
@@ -38,7 +38,7 @@ class FreeBody(Model):
     mass: Positive
     friction: NonNegative = 0.6
     color: Vector
-    position: Vector
+    position: Place
     rpy: Rpy = (0.0, 0.0, 0.0)
     fiducial: Annotated[int, Field(ge=0, lt=50)] | None = None
     fiducial_size: Positive = 0.04

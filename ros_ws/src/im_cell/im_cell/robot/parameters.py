@@ -17,11 +17,11 @@ ToolPose = tuple[Number, Number, Number, Number, Number, Number, Number]
 Source = Annotated[str, Field(min_length=1)]
 
 
-Three = tuple[Number, Number, Number]
+Vector = tuple[Number, Number, Number]
 LARGEST_M, _MOST_RPY = 50.0, 7.0
 
 
-def require_metres(place: Three) -> Three:
+def require_metres(place: Vector) -> Vector:
     """Refuse a place or a size in millimetres: no cell is as large as that.
 
     Raises:
@@ -32,7 +32,7 @@ def require_metres(place: Three) -> Three:
     return place
 
 
-def require_radians(rpy: Three) -> Three:
+def require_radians(rpy: Vector) -> Vector:
     """Refuse an orientation in degrees: roll, pitch and yaw [rad] of no file go beyond a full turn.
 
     Raises:
@@ -43,9 +43,9 @@ def require_radians(rpy: Three) -> Three:
     return rpy
 
 
-Vector = Annotated[Three, AfterValidator(require_metres)]
+Place = Annotated[Vector, AfterValidator(require_metres)]
 Size = Annotated[tuple[Positive, Positive, Positive], AfterValidator(require_metres)]
-Rpy = Annotated[Three, AfterValidator(require_radians)]
+Rpy = Annotated[Vector, AfterValidator(require_radians)]
 
 MOST_CORNERS, THINNEST_M = 64, 1e-4
 _LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
@@ -111,8 +111,8 @@ class Capsule(Model):
     """
 
     link: str
-    p0: Vector
-    p1: Vector
+    p0: Place
+    p1: Place
     radius: Positive
     visual: bool = True
 
@@ -127,7 +127,7 @@ class Hull(Model):
     """
 
     link: str
-    points: Annotated[tuple[Vector, ...], Field(min_length=4, max_length=MOST_CORNERS)]
+    points: Annotated[tuple[Place, ...], Field(min_length=4, max_length=MOST_CORNERS)]
     radius: NonNegative
 
     @field_validator("points")
@@ -168,7 +168,7 @@ class Box(Model):
     link: str
     name: str
     size: Size
-    center: Vector
+    center: Place
     color: Vector
     collision: bool = True
 
@@ -240,7 +240,7 @@ class Group(Model):
 class CellMount(Model):
     """Pose of the URDF's root in the world [m, rad]."""
 
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Place = (0.0, 0.0, 0.0)
     rpy: Rpy = (0.0, 0.0, 0.0)
 
 
@@ -316,7 +316,7 @@ class Led(Model):
     `offset_prior_sd` is the standard deviation of each axis of the true offset [m]; 0: the nominal one is exact.
     """
 
-    offset: Vector = (0.0, 0.06, 0.05)
+    offset: Place = (0.0, 0.06, 0.05)
     offset_prior_sd: NonNegative = 0.005
     axis: Vector = (0.0, 1.0, 0.0)
     diameter: Positive = 0.02
@@ -343,8 +343,8 @@ class Intrinsics(Model):
 class Mount(Model):
     """Mount of a device at ``position`` [m], looking at ``target`` [m], with ``up`` as top of its view."""
 
-    position: Vector
-    target: Vector
+    position: Place
+    target: Place
     up: Vector
 
     @model_validator(mode="after")

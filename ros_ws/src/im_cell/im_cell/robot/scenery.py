@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from im_cell.robot.parameters import Mount, NonNegative, Positive, Vector
+from im_cell.robot.parameters import Mount, NonNegative, Place, Positive, Vector
 from im_core.config import Model
 
 
@@ -46,7 +46,7 @@ class Target(Model):
     corners: tuple[Annotated[int, Field(ge=2, le=50)], Annotated[int, Field(ge=2, le=50)]] = (8, 5)
     plate: Positive
     parent: str = "world"
-    position: Vector
+    position: Place
     normal: Vector
     up: Vector
 
@@ -81,7 +81,7 @@ class Mirror(Model):
 
     name: str
     link: str
-    center: Vector
+    center: Place
     axis: Literal["x", "y", "z"]
     size: tuple[Positive, Positive]
     reflectance: Annotated[float, Field(ge=0.0, le=1.0)]
@@ -100,7 +100,7 @@ class Lamp(Model):
     """
 
     name: str
-    position: Vector
+    position: Place
     brightness: NonNegative
     period: Positive
     duty: Annotated[float, Field(ge=0.0, le=1.0)]
