@@ -25,6 +25,21 @@ class VelocityEstimator:
             ValueError: It has another shape.
         """
 
+    def update_at(self, x: NDArray[np.float64], stamp_ns: int, age_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As :meth:`update`, of readings that were taken at times of their own.
+
+        A signal without a newer reading keeps its derivative. A newer one is a reading that was taken at least half a
+        period after the one before.
+
+        Args:
+            x: Readings, shape (n,).
+            stamp_ns: Present time, on a clock that is not set back before :meth:`reset` [ns].
+            age_s: Ages of the readings, shape (n,) [s]; one that is not a number is that of no newer reading.
+
+        Raises:
+            ValueError: An array has another shape.
+        """
+
 class ErrorFeedback:
     """Independent PID of each joint; the derivative acts on the error, through a low pass.
 

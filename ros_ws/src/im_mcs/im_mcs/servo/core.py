@@ -100,7 +100,7 @@ class Mcs:
             measured=self.measured,
             arms=self,
         )
-        self.situation = Situation(self.measured, self.v, self.groups, self.manager.brakes)
+        self.situation = Situation(self.measured, self.v, self.v, self.groups, self.manager.brakes)
         self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations, self._testbed.faults)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
@@ -134,13 +134,13 @@ class Mcs:
             LinkError: The testbed does not answer, or no longer listens.
         """
         m = self.measured = self.manager.measured = self._testbed.read()
-        self.v = self._velocity.update(m.q)
+        self.v = self._velocity.update_at(m.q, m.stamp_ns, m.age_s)
         self._partitions.end_contacts(m.stamp_ns)
         self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
         if self._courses is not None:
-            self._courses.scale(self.groups.values(), self._testbed.speed(), m.q)
+            self._courses.scale(self.groups.values(), self._testbed.speed(), self.loop.following_error(m))
         for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
@@ -343,7 +343,7 @@ class Mcs:
     def _watch(self) -> bool:
         """Run the watches; return whether the owner gives no heartbeat, so power must go."""
         now = self.situation
-        now.measured, now.v = self.measured, self.v
+        now.measured, now.v, now.following_error = self.measured, self.v, self.loop.following_error(self.measured)
         now.power, now.brakes = self.manager.power, self.manager.brakes
         for finding in self._supervisor.check(now):
             self._react(finding)

@@ -159,6 +159,7 @@ class ControlledGroup:
         """
         self.hold(q)
         self.check.q, self.check.v = q, np.zeros_like(q)
+        self.check.followed = np.array([q, self.check.v])
         self.controller.reset(before)
         self.monitor.restart()
         self.engaged = True
@@ -441,6 +442,7 @@ class ControlledGroup:
         v: NDArray[np.float64],
         gravity: NDArray[np.float64],
         wanted: Setpoint,
+        followed: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Return torques, velocities or positions of the current tick, shape (n,), for the planner's present setpoint.
 
@@ -450,12 +452,13 @@ class ControlledGroup:
             v: Estimated velocities of all joints.
             gravity: Gravity torques of all joints.
             wanted: Wanted motion of all joints.
+            followed: Positions and velocities that were followed when ``q`` was taken, of all joints, shape (2, m).
 
         Raises:
             ControlLawError: The control law failed.
         """
         position, velocity, setpoint = q[self.place].copy(), v[self.place].copy(), self.setpoint
-        self.check.q, self.check.v = position, velocity
+        self.check.q, self.check.v, self.check.followed = position, velocity, followed[:, self.place]
         if self.still:
             if not self.controller.switching:
                 self.monitor.update(tick, position, None if self._yields else setpoint.q)
@@ -467,10 +470,6 @@ class ControlledGroup:
         return self.controller.command(
             ControlInput(position, velocity, setpoint, gravity[self.place].copy(), q, wanted)
         )
-
-    def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Setpoint less measured position, shape (n,); ``q`` of all joints."""
-        return self.setpoint.q - q[self.place]
 
     def progress(self) -> dict[str, Any] | None:
         """Return for the goal under way the id, the passed share of time and the point; None: there is none."""
