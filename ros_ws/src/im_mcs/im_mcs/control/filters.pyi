@@ -109,6 +109,7 @@ def friction_torque(
     negative: NDArray[np.float64],
     viscous: NDArray[np.float64],
     pushed: ErrorFeedback | None = None,
+    creeping: bool = False,
 ) -> NDArray[np.float64]:
     """Return Coulomb and viscous friction, shape (n,) [Nm or N]; all arguments that are arrays have that shape.
 
@@ -124,6 +125,8 @@ def friction_torque(
         negative: Dry friction of joints that move backwards [Nm or N].
         viscous: Viscous friction [Nm s/rad or N s/m].
         pushed: Whose error joints are helped to leave; None: they are not helped.
+        creeping: Whether joints that move are helped as well, the slower the more: else, of a joint too slow for its
+            friction to be fed forward, the integral makes up for that, and has too much when the joint moves on.
 
     Raises:
         ValueError: An array has another shape.

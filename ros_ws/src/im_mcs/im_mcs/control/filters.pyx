@@ -183,7 +183,9 @@ cdef class ErrorFeedback:
         self._integral = made
 
 
-def friction_torque(v, turns, double share, double stiction, positive, negative, viscous, ErrorFeedback pushed=None):
+def friction_torque(
+    v, turns, double share, double stiction, positive, negative, viscous, ErrorFeedback pushed=None, bint creeping=False
+):
     cdef Py_ssize_t i, n = len(v)
     cdef object torques = _vector(n)
     cdef double *torque = _data(torques, n)
@@ -194,15 +196,15 @@ def friction_torque(v, turns, double share, double stiction, positive, negative,
     cdef double *damping = _data(viscous, n)
     cdef double *error = NULL
     cdef double *band = NULL
-    cdef double direction
+    cdef double direction, push
     if pushed is not None and not pushed.holding:
         error, band = _data(pushed.smooth_error, n), _data(pushed.deadband, n)
     for i in range(n):
         direction = share * turn[i]
-        if error is not NULL and speed[i] == 0.0:
-            direction = fabs(error[i]) / band[i] - 1.0
-            direction = 0.0 if direction < 0.0 else 1.0 if direction > 1.0 else direction
-            direction = stiction * copysign(direction, error[i])
+        if error is not NULL and (creeping or speed[i] == 0.0):
+            push = fabs(error[i]) / band[i] - 1.0
+            push = stiction * copysign(0.0 if push < 0.0 else 1.0 if push > 1.0 else push, error[i])
+            direction = push if speed[i] == 0.0 else direction + (1.0 - fabs(turn[i])) * push
         torque[i] = (forwards[i] if direction > 0.0 else backwards[i]) * direction + damping[i] * speed[i]
     return torques
 

@@ -121,7 +121,10 @@ class Rig:
             self.q_all[self.index] = setpoint.q - self.error
             v = np.zeros_like(self.q_all)
             v[self.index] = setpoint.v - self.velocity_error
-            self.group.command(self.tick, self.q_all.copy(), v, np.zeros_like(v), Setpoint.at_rest(self.q_all))
+            followed = np.array([self.q_all, v])
+            followed[:, self.index] = setpoint.q, setpoint.v
+            rest = Setpoint.at_rest(self.q_all)
+            self.group.command(self.tick, self.q_all.copy(), v, np.zeros_like(v), rest, followed)
             for goal, fault, results in self.group.ended():
                 self.results[goal.id] = fault, results, self.tick
 
