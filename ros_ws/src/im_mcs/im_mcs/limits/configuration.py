@@ -243,7 +243,7 @@ class McsConfig(Model):
         """Return the first control law of a group; of two wrists that of pairs, if the slots take its commands."""
         law, kind = self.switching.pair, interface_of(self.control.controller)
         two = any(groups[group].pair for groups in self.presets.values() if group in groups)
-        if two and law and group not in self.group_control and interface_of(law) == kind:
+        if two and law in self.switching.laws and group not in self.group_control and interface_of(law) == kind:
             return Control(controller=law, parameters=self.switching.laws[law])
         return self.group_control.get(group, self.control)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from im_core.errors import ImError
 from im_mcs.collision import Proximity
 from im_mcs.collision.guard import GuardedMonitor
+from im_mcs.group import ControlledGroup
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
@@ -19,7 +20,6 @@ from im_mcs.planning import Setpoint
 from im_mcs.safety import Reaction, SafetyFinding, SetpointLimiter
 from im_mcs.safety.setpoint_history import SetpointHistory
 from im_mcs.safety.watches import ESTOP_FACTOR
-from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.torque_stream import Ended, TorqueStreams
 from im_mcs.testbed import Measured
 
@@ -207,7 +207,7 @@ class ControlLoop:
         }
         near = self.proximity = collision.update(m.q, velocity, wanted[2], curves)
         for group in self.engaged:
-            group.set_ceiling(near.speed_ceiling)
+            group.rates.set_ceiling(near.speed_ceiling)
             group.planner.look_ahead()
         if not near.stop:
             return []

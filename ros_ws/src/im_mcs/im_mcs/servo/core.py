@@ -11,11 +11,11 @@ from im_core.errors import ImError, LinkError
 from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.control.filters import VelocityEstimator
+from im_mcs.group.goals import Goal
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
 from im_mcs.model import CellModel, ControlledModel
-from im_mcs.planning.goals import Goal
 from im_mcs.protocol.evidence import Recorder
 from im_mcs.protocol.requests import Sender, request_id
 from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
@@ -250,13 +250,13 @@ class Mcs:
         config, before = self.config.with_preset(preset), self.groups
         joints = {name: group.joints for name, group in config.groups.items()}
         heirs = self.manager.check_repartition(joints, preset, sender)
-        held = next((group.held for group in before.values() if group.held is not None), None)
+        held = next((group.rates.held for group in before.values() if group.rates.held is not None), None)
         self.groups, self._collision = self._partitions.enter(preset)
         for group in self.groups.values():
-            group.held = held
+            group.rates.held = held
         self.manager.repartition(joints, {name: group.index for name, group in self.groups.items()}, heirs)
         for heir, names in heirs.items():
-            self.groups[heir].inherit([before[name] for name in names])
+            self.groups[heir].rates.inherit([before[name].rates for name in names])
         former = [before[name] for name in dict.fromkeys(name for names in heirs.values() for name in names)]
         engaged = [self.groups[heir] for heir, names in heirs.items() if before[names[0]].engaged]
         self.loop.hand_over(former, engaged)
@@ -296,7 +296,7 @@ class Mcs:
             self._latch.clear()
         self._kept = False
         for group in self.groups.values():
-            group.held = None
+            group.rates.held = None
 
     def end_goals(self, groups: Sequence[str], reason: ImError) -> None:
         """End the goals of groups with ``reason``; what moves decelerates on its path."""

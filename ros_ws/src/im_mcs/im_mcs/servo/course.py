@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError
+from im_mcs.group import ControlledGroup
 from im_mcs.safety import Reaction, SafetyFinding
-from im_mcs.servo.group import ControlledGroup
 from im_mcs.testbed import PlannedCourse
 
 _STEP_S = 0.05
@@ -56,7 +56,7 @@ class Courses:
             if not any(far[group.place].any() for group in followed if group.engaged):
                 self._wait_s = 0.0
         for group in followed:
-            group.set_scaling(0.0 if self._wait_s > 0.0 else speed)
+            group.rates.set_scaling(0.0 if self._wait_s > 0.0 else speed)
 
     def update(
         self, engaged: Sequence[ControlledGroup], command: NDArray[np.float64], speed: float

@@ -1,15 +1,15 @@
-"""Whether a goal is kept on the way, and reached at its end: by its tolerances, or by the rest of the arm."""
+"""Whether a goal is kept on the way, and reached at the end: by tolerances, or by the rest of the arm."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
+from im_mcs.group.goals import Current
+from im_mcs.group.rest_monitor import RestMonitor
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.tolerances import TrajectoryTolerances
-from im_mcs.planning.goals import Current
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.trajectories.trajectory import Setpoint
-from im_mcs.servo.rest_monitor import RestMonitor
 
 
 class GoalCheck:
@@ -29,7 +29,7 @@ class GoalCheck:
         self.fault: ImError | None = None
 
     def on_the_way(self, current: Current, tick: int) -> ImError | None:
-        """Return the fault of a trajectory beyond its tolerances, or still on the way too late."""
+        """Return the fault of a trajectory beyond tolerances, or still on the way too late."""
         if current.tolerances is None or current.goal.fault is not None or self._planner.finished:
             return None
         asked = followed = self.followed - np.array([self.q, self.v])
@@ -55,7 +55,7 @@ class GoalCheck:
         return np.array([wanted.q - self.q, wanted.v - self.v])
 
     def _missed(self, current: Current, tolerances: TrajectoryTolerances) -> ImError | None:
-        """Return the fault of a goal that is not reached in the time that its message allows."""
+        """Return the fault of a goal not reached in the time allowed by the message."""
         planner, monitor = self._planner, self._monitor
         error, late_s = self._error(planner.follower.end_setpoint), current.passed_s - current.asked_s
         settled = planner.finished and (monitor.at_rest or monitor.timed_out)
