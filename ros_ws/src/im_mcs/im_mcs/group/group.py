@@ -358,9 +358,8 @@ class ControlledGroup:
         current = self._goals.current
         if current is not None and (fault := self.check.on_the_way(current, tick)) is not None:
             self._goals.interrupt(fault)
-        return self.controller.command(
-            ControlInput(position, velocity, setpoint, gravity[self.place].copy(), q, wanted)
-        )
+        given = ControlInput(position, velocity, setpoint, gravity[self.place].copy(), q, wanted)
+        return self.controller.command(given)
 
     def progress(self) -> dict[str, Any] | None:
         """Return for the goal under way the id, the passed share of time and the point; None: there is none."""
