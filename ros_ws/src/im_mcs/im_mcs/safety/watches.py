@@ -48,27 +48,19 @@ class SafetyFinding:
 
 
 class WatchedGroup(Protocol):
-    """Group from the watches' view."""
+    """Group from the watches' view.
 
-    @property
-    def name(self) -> str:
-        """Name of the group."""
-        ...
+    Attributes:
+        name: Name of the group.
+        engaged: Whether the group has setpoints and torques.
+        index: Ranks of the group's joints among all, shape (n,), and
+        place: the same, quicker to read from.
+    """
 
-    @property
-    def engaged(self) -> bool:
-        """Whether the group has setpoints and torques."""
-        ...
-
-    @property
-    def index(self) -> NDArray[np.intp]:
-        """Ranks of the group's joints among all, shape (n,)."""
-        ...
-
-    @property
-    def place(self) -> Place:
-        """The same, quicker to read from."""
-        ...
+    name: str
+    engaged: bool
+    index: NDArray[np.intp]
+    place: Place
 
 
 @dataclass
