@@ -208,7 +208,11 @@ def test_a_joint_without_a_newer_reading_keeps_its_velocity_and_the_others_go_on
     for tick in range(200):
         x, age_s = 0.3 * PERIOD_S * tick, 0.0 if tick < 100 else PERIOD_S * (tick - 100)
         y = 0.3 * PERIOD_S * min(tick, 100)
-        v = estimator.update_at(np.array([x, y]), tick * 4_500_000, np.array([0.0, age_s if tick < 150 else np.nan]))
+        v = estimator.update_at(np.array([x, y]), tick * 4_500_000, np.array([0.0, age_s]))
+    np.testing.assert_allclose(v, [0.3, 0.3], rtol=1e-6)
+    for tick in range(200, 400):  # an age that is none hides no motion
+        x = 0.3 * PERIOD_S * tick
+        v = estimator.update_at(np.array([x, x]), tick * 4_500_000, np.array([0.0, np.nan if tick % 2 else np.inf]))
     np.testing.assert_allclose(v, [0.3, 0.3], rtol=1e-6)
     with pytest.raises(ValueError, match="no array of 2 floats"):
         estimator.update_at(np.zeros(3), 0, np.zeros(2))

@@ -34,7 +34,7 @@ class VelocityEstimator:
         Args:
             x: Readings, shape (n,).
             stamp_ns: Present time, on a clock that is not set back before :meth:`reset` [ns].
-            age_s: Ages of the readings, shape (n,) [s]; one that is not a number is that of no newer reading.
+            age_s: Ages of the readings, shape (n,) [s]; one that is not a number counts as 0.
 
         Raises:
             ValueError: An array has another shape.

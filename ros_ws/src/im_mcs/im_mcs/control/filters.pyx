@@ -81,7 +81,7 @@ cdef class VelocityEstimator:
         times, found = self._times, _vector(self.n)
         last, before, value = _data(self._last, self.n), _data(self._value, self.n), _data(found, self.n)
         for i in range(self.n):
-            taken = stamp_ns - llround(1e9 * age[i]) if isfinite(age[i]) else times[i]
+            taken = stamp_ns - llround(1e9 * age[i]) if isfinite(age[i]) else stamp_ns
             elapsed = taken - times[i]
             if 2 * elapsed < self._period_ns:
                 value[i] = before[i]
