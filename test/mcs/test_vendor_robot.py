@@ -35,9 +35,10 @@ ORDER = list(CELL.joint_names[::-1])
 def vendor(process):
     """Starts the robot; its process."""
 
-    def start(kind="position", lost=0.0):
+    def start(kind="position", lost=0.0, stall=0.0):
         home = ",".join(map(str, CELL.home[::-1].tolist()))
         options = ("--joints", ",".join(ORDER), f"--home={home}", "--kind", kind, "--lost", lost, "--speed", 0.5)
+        options = (*options, "--stall", stall)
         return process(sys.executable, "-m", "support.vendor_robot", *options)
 
     return start
@@ -69,10 +70,9 @@ def config(tmp_path):
             driver = {"driver": "im_mcs.testbed.joint_state:CommandTopicDriver", "settings": settings}
         data["testbed"].update(clock="robot", drivers={"robot": driver})
         data["control"] = LAWS[interface]
-        # on a busy computer positions come in bunches, which looks like speed
         data["limits"].update(following_error_rad=following, following_error_m=following, velocity=0.4)
         data["safety"].update(driver_age_s=5.0, driver_age_estop_s=6.0)
-        data["servo"].update(period_s=0.008, max_overruns=200, velocity_bandwidth_rad_s=10)
+        data["servo"].update(period_s=0.008, max_overruns=200)
         data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
         path = tmp_path / "robot.yaml"
         path.write_text(yaml.safe_dump(data), encoding="utf-8")
@@ -137,6 +137,22 @@ def test_moves_a_line_and_stops(vendor, config, without_testbed, kind):
     assert client.trigger("reset").success
     to_motion(client)  # the first setpoint is where the arm is
     np.testing.assert_allclose(stands(client), stood, atol=2e-3)
+
+
+@pytest.mark.parametrize("stall", [0.1, 0.2, 0.3])
+def test_readings_that_come_late_and_at_once_stop_nothing_and_a_joint_that_runs_away_stops(
+    vendor, config, without_testbed, stall
+):
+    vendor(stall=stall)
+    client = without_testbed(config=config(), use_sim_time=False)
+    to_motion(client)
+    for target in (client.home + 0.3, client.home, client.home + 0.3):
+        result = client.move(target)
+        assert result.success, result
+    assert client.state() == "motion"
+    assert client.call(SetBool, "/vendor/run_away", data=True).success
+    client.until(lambda: client.state() == "estopped")
+    assert "left_track: velocity" in client.states[-1].reason
 
 
 def test_a_protective_stop_of_the_vendor_is_the_reason_and_a_person_resets(vendor, config, without_testbed):

@@ -5,8 +5,9 @@ its own order, and a topic of commands as a ``forward_command_controller`` of ro
 ``joint_trajectory_controller``. Each joint is a position servo, a first-order lag with a largest speed; the last
 command stays in force. ``/vendor/safety`` says whether it stands in a protective stop, which
 ``/vendor/protective_stop`` begins and ends; commands of that time are forgotten. ``/vendor/block`` holds the joints,
-``/vendor/refuse`` lets it take no goal. A trajectory's clock goes at the share of ``/vendor/slider``, told in percent
-on ``/vendor/speed_scaling``.
+``/vendor/refuse`` lets it take no goal, and ``/vendor/run_away`` turns its last joint faster than any command. With
+``--stall`` it holds its joint states back for that part of each second, then tells them at once. A trajectory's clock
+goes at the share of ``/vendor/slider``, told in percent on ``/vendor/speed_scaling``.
 """
 
 import argparse
@@ -30,6 +31,7 @@ from im_core.ros.guard import GuardedNode
 
 PERIOD_S = 0.008
 LAG_S = 0.04
+RUN_AWAY = 2.0
 
 UR5E = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 UR5E_HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
@@ -67,17 +69,19 @@ class VendorRobot(GuardedNode):
         speed: Largest speed of each joint [rad/s or m/s].
         lost: Share of messages that are lost, either way.
         tolerance: Largest error on the way of a trajectory, and in the end half a second later [rad or m].
+        stall: Of each second, for how long joint states are held back [s].
     """
 
-    def __init__(self, joints, home, kind, speed, lost, tolerance) -> None:
+    def __init__(self, joints, home, kind, speed, lost, tolerance, stall) -> None:
         super().__init__("vendor_robot")
         self.joints, self.kind, self.speed, self.lost = joints, kind, speed, lost
+        self.stall, self.held = stall, []
         self.q = np.array(home)
         self.target, self.velocity = self.q.copy(), np.zeros(len(joints))
         self.speeds = self.create_publisher(Float64, "/vendor/speed_scaling", qos.LATCHED)
         self.create_subscription(Float64, "/vendor/slider", self.slide, qos.LATCHED)
         self.slide(Float64(data=1.0))
-        self.stopped = self.blocked = self.refusing = False
+        self.stopped = self.blocked = self.refusing = self.running_away = False
         self.tolerance, self.active = tolerance, None
         self.random, self.last = np.random.default_rng(1), clock.monotonic()
         self.states = self.create_publisher(JointState, "/joint_states_of_vendor", 10)
@@ -98,6 +102,7 @@ class VendorRobot(GuardedNode):
         self.create_service(SetBool, "/vendor/protective_stop", self.protective_stop)
         self.create_service(SetBool, "/vendor/block", partial(self.switch, "blocked"))
         self.create_service(SetBool, "/vendor/refuse", partial(self.switch, "refusing"))
+        self.create_service(SetBool, "/vendor/run_away", partial(self.switch, "running_away"))
         self.create_timer(PERIOD_S, self.step)
 
     def obey(self, message: Float64MultiArray) -> None:
@@ -124,7 +129,7 @@ class VendorRobot(GuardedNode):
         self.speeds.publish(Float64(data=100.0 * self.scaling))
 
     def switch(self, name, request, response):
-        """Block the joints, or refuse goals."""
+        """Block the joints, refuse goals, or run away."""
         setattr(self, name, request.data)
         response.success = True
         return response
@@ -197,10 +202,16 @@ class VendorRobot(GuardedNode):
         way = self.velocity * dt if self.kind == "velocity" else lagging
         if not (self.stopped or self.blocked):
             self.q = self.q + np.clip(way, -self.speed * dt, self.speed * dt)
+        if self.running_away:
+            self.q[-1] += RUN_AWAY * dt
         if self.random.random() >= self.lost:
             message = JointState(name=self.joints[::-1], position=self.q[::-1].tolist())
             message.header.stamp = self.get_clock().now().to_msg()
-            self.states.publish(message)
+            self.held.append(message)
+        if now % 1.0 >= self.stall:
+            for message in self.held:
+                self.states.publish(message)
+            self.held = []
 
 
 def seconds(stamp) -> float:
@@ -217,9 +228,10 @@ def main() -> int:
     parser.add_argument("--speed", type=float, default=3.0)
     parser.add_argument("--lost", type=float, default=0.0)
     parser.add_argument("--tolerance", type=float, default=0.3)
+    parser.add_argument("--stall", type=float, default=0.0)
     given = parser.parse_args()
     home = [float(value) for value in given.home.split(",")]
-    joints, options = given.joints.split(","), (given.kind, given.speed, given.lost, given.tolerance)
+    joints, options = given.joints.split(","), (given.kind, given.speed, given.lost, given.tolerance, given.stall)
     return run.main(lambda: VendorRobot(joints, home, *options), [])
 
 

@@ -93,7 +93,9 @@ def frictionless(config: McsConfig) -> McsConfig:
         "rest_deadband": 1e-9,
         "feedforward": {"gravity": 1.0, "inertia": 1.0},
     }
-    return config.model_copy(update={"control": config.control.model_copy(update={"parameters": parameters})})
+    control = config.control.model_copy(update={"parameters": parameters})
+    switching = config.switching.model_copy(update={"pair": ""})  # that law feeds forward friction
+    return config.model_copy(update={"control": control, "switching": switching})
 
 
 @pytest.fixture

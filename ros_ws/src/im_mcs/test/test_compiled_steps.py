@@ -91,6 +91,11 @@ def test_feedback_is_that_of_numpy_to_the_bit(seed, n):
         torque = friction_torque(v, np.tanh(v / 1e-3), 0.8, 0.5, positive, negative, viscous, pushed)
         expected = np.where(direction > 0.0, positive, negative) * direction + viscous * v
         np.testing.assert_array_equal(torque, expected)
+    push, v = 0.5 * np.copysign(excess, numpy.smooth), 1e-3 * v
+    turns = np.tanh(v / 1e-3)
+    creeping = np.where(v == 0.0, push, 0.8 * turns + (1.0 - np.abs(turns)) * push)
+    torque = friction_torque(v, turns, 0.8, 0.5, positive, negative, viscous, compiled, creeping=True)
+    np.testing.assert_array_equal(torque, np.where(creeping > 0.0, positive, negative) * creeping + viscous * v)
 
 
 def test_torques_of_the_model_are_those_of_numpy_to_the_bit():

@@ -80,6 +80,11 @@ def test_presets_partition_all_joints(config, cell):
             "group_control:\n  lift: {controller: 'im_mcs.control.pid:Pid'}\nlaw_processes: ",
             r"mcs.yaml:\d+: group_control.lift: there is no group 'lift' \(did you mean 'left'",
         ),
+        (
+            "pair: im_mcs.control.computed_torque:ComputedTorque",
+            "pair: im_mcs.control.computed:Torque",
+            r"mcs.yaml:\d+: switching.pair: 'im_mcs.control.computed:Torque' is none of switching.laws: im_mcs.c",
+        ),
         ("period_s: 0.0045", "periods: 0.0045", "servo.period_s"),
         (
             "{name: left_j1, driver: testbed, channel: 3}",

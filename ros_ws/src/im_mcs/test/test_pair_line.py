@@ -202,38 +202,66 @@ def test_one_wrist_has_no_second(plant_bench, config):
     assert "are for a group of two" in reply["error"]["message"]
 
 
-@pytest.mark.parametrize("seed", [3])
-def test_measured_at_a_quarter_of_a_metre_a_second(config, plant_bench, model, bent, seed):
-    """The issue's bar: 0.3 mm and 0.3 mrad between the true places of both wrists, while both move."""
-    bench = plant_bench(config.with_preset("1x18"), seed)
-    bench.to_motion("testbed")
-    assert bench.move("testbed", bent)["success"]
-    worst = np.zeros(2)
-    start = bench.mcs.groups["testbed"].planner.setpoint.q.copy()
-    first, _ = both(model, start)
-
-    def look():
-        nonlocal worst
-        worst = np.maximum(worst, apart(model, bench.driver.plant.q, start))
-
-    poses = [
-        pose(first, [0.1, 0.15, 0.0]),
-        pose(first, [0.1, 0.15, -0.1], [0.0, 0.0, 0.1]),
-        pose(first, [0.0, 0.0, 0.0]),
+def there_and_back(start, first):
+    """Motions of two wrists on lines, arcs and in joint space, each there and back."""
+    there = [
+        {"poses": [pose(first, [0.1, 0.15, 0.0])]},
+        {
+            "poses": [pose(first, [0.1, 0.15, 0.0]), pose(first, [0.1, 0.15, -0.1], [0.0, 0.0, 0.1])],
+            "blend": 0.02,
+        },
+        {"poses": [pose(first, [0.05, 0.03, -0.02]), pose(first, [0.08, 0.12, -0.05], [0.0, 0.0, 0.1])], "arc": True},
     ]
-    arc = [pose(first, [0.05, 0.03, -0.02]), pose(first, [0.08, 0.12, -0.05], [0.0, 0.0, 0.1])]
-    joints = np.array([start[:9]])
-    joints[:, 3:9] += [0.1, -0.05, 0.1, 0.1, 0.1, 0.2]
-    for path in (
-        {"kind": "line", "poses": poses, "speed": 0.25, "blend": 0.02},
-        {"kind": "line", "poses": arc, "arc": True, "speed": 0.25},
-        {"kind": "line", "points": joints.tolist()},
-    ):
-        worst = np.zeros(2)
+    for path in there:
+        arc = path.get("arc", False)
+        yield {"kind": "line", "speed": 0.25, **path}
+        back = [pose(first, [0.05, 0.03, -0.02])] * arc + [pose(first, [0.0, 0.0, 0.0])]
+        yield {"kind": "line", "speed": 0.25, "poses": back, "arc": arc}
+    for step in ([0.1, -0.05, 0.1, 0.1, 0.1, 0.2], [-0.1, 0.05, -0.05, -0.2, -0.1, -0.1]):
+        points = start[:9].copy()
+        points[3:9] += step
+        yield {"kind": "line", "points": [points.tolist()]}
+        yield {"kind": "line", "points": [start[:9].tolist()]}
+
+
+@pytest.mark.parametrize(
+    ("carts", "seed", "model_error"), [((0.2, 1.3), 3, 0.0), ((0.0, 1.5), 2, 0.0), ((0.0, 1.5), 4, 0.1)]
+)
+def test_measured_at_a_quarter_of_a_metre_a_second(config, plant_bench, model, bent, carts, seed, model_error):
+    """The issue's bar: 0.3 mm and 0.3 mrad between the true places of both wrists, while both move.
+
+    In the second row some joints begin by creeping, slower than dry friction is fed forward.
+    """
+    changes = {"model_error": model_error}
+    bench = plant_bench(config.with_preset("1x18").model_copy(update=changes), seed)
+    bench.to_motion("testbed")
+    begin = bent.copy()
+    begin[[0, 9]] = carts
+    assert bench.move("testbed", begin)["success"]
+    start = bench.mcs.groups["testbed"].planner.setpoint.q.copy()
+    worst = {}
+    for rank, path in enumerate(there_and_back(start, both(model, start)[0])):
+        reference, off = bench.mcs.groups["testbed"].planner.setpoint.q.copy(), []
+
+        def look(off=off, reference=reference):
+            off.append(apart(model, bench.driver.plant.q, reference))
+
         reply = bench.ask("move", on_tick=look, group="testbed", path=path, policy="refuse", speed_scale=0.0)
         assert reply["success"], reply["error"]
-        assert worst[0] < 3e-4
-        assert worst[1] < 3e-4
+        worst[rank] = np.max(off, axis=0)
+    assert len(worst) == 10
+    assert np.max(list(worst.values()), axis=0).max() < 3e-4, worst
+
+
+def test_two_wrists_have_the_law_of_pairs_where_their_slots_take_its_commands(config):
+    law = "im_mcs.control.computed_torque:ComputedTorque"
+    assert config.control_of("testbed").controller == law
+    assert config.control_of("left") == config.control
+    assert {law, config.control.controller} <= config.parameters_of_laws("testbed").keys()
+    positions = config.control.model_copy(update={"controller": "im_mcs.control.setpoints:SetpointPosition"})
+    assert config.model_copy(update={"control": positions}).control_of("testbed") == positions
+    own = {"testbed": config.control}
+    assert config.model_copy(update={"group_control": own}).control_of("testbed") == config.control
 
 
 def test_a_group_has_a_wrist_or_a_pair(config, model):

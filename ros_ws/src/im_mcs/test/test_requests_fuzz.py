@@ -70,7 +70,7 @@ def moving(machine, bench):
 
 def seen(mcs):
     groups = [
-        (g.name, g.goals, g.controller.name, g.paused, g.protective, g._rates.override) for g in mcs.groups.values()
+        (g.name, g.goals, g.controller.name, g.paused, g.protective, g.rates.override) for g in mcs.groups.values()
     ]
     manager = mcs.manager
     return (

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_mcs.group.rest_monitor import RestMonitor, RestPhase
 from im_mcs.limits.configuration import load_config
 from im_mcs.protocol.requests import SettleBounds
-from im_mcs.servo.rest_monitor import RestMonitor, RestPhase
 
 SERVO = load_config().servo
 RESOLUTION, NOISE = np.full(3, 2e-5), np.full(3, 1e-5)

@@ -60,7 +60,7 @@ def seen(mcs):
         mcs.manager.busy,
         [vars(mcs.manager.reservations.of(group)).copy() for group in mcs.manager.reservations.groups],
         mcs.config.preset,
-        [(g.name, g.goals, g.controller.name, g.paused, g.protective, g._rates.override) for g in mcs.groups.values()],
+        [(g.name, g.goals, g.controller.name, g.paused, g.protective, g.rates.override) for g in mcs.groups.values()],
         mcs.grippers.opening.tolist(),
         mcs.control_model.changing,
         mcs.wants_time,

@@ -82,7 +82,7 @@ def listed_controllers(
         active = states.get(group) is State.MOTION
         state = tuple(f"{joint}/{quantity}" for joint in description.joints for quantity in MEASURED)
         commands = tuple(f"{joint}/{interfaces[joint]}" for joint in description.joints)
-        in_force = laws.get(group, config.group_control.get(group, config.control).controller)
+        in_force = laws.get(group, config.control_of(group).controller)
         for law in config.parameters_of_laws(group):
             name = f"{group}_{law.rpartition(':')[2]}"
             references = tuple(f"{name}/{joint}/position" for joint in description.joints)

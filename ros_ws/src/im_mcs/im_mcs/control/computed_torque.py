@@ -51,6 +51,6 @@ class ComputedTorque:
         acceleration = given.wanted_all.a.copy()
         acceleration[self._joints] += self._feedback.update(given.setpoint.q - given.q)
         tau = self._model.inverse_dynamics(given.q_all, given.wanted_all.v, acceleration)[self._joints]
-        tau = tau + self._friction.torque(given.setpoint.v, self._feedback)
+        tau = tau + self._friction.torque(given.setpoint.v, self._feedback, creeping=True)
         self._feedback.integrate(tau, self._torque_limit)
         return tau

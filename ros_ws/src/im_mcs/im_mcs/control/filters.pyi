@@ -25,6 +25,21 @@ class VelocityEstimator:
             ValueError: It has another shape.
         """
 
+    def update_at(self, x: NDArray[np.float64], stamp_ns: int, age_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As :meth:`update`, of readings that were taken at times of their own.
+
+        A signal without a newer reading keeps its derivative. A newer one is a reading that was taken at least half a
+        period after the one before.
+
+        Args:
+            x: Readings, shape (n,).
+            stamp_ns: Present time, on a clock that is not set back before :meth:`reset` [ns].
+            age_s: Ages of the readings, shape (n,) [s]; one that is not a number counts as 0.
+
+        Raises:
+            ValueError: An array has another shape.
+        """
+
 class ErrorFeedback:
     """Independent PID of each joint; the derivative acts on the error, through a low pass.
 
@@ -94,6 +109,7 @@ def friction_torque(
     negative: NDArray[np.float64],
     viscous: NDArray[np.float64],
     pushed: ErrorFeedback | None = None,
+    creeping: bool = False,
 ) -> NDArray[np.float64]:
     """Return Coulomb and viscous friction, shape (n,) [Nm or N]; all arguments that are arrays have that shape.
 
@@ -109,6 +125,8 @@ def friction_torque(
         negative: Dry friction of joints that move backwards [Nm or N].
         viscous: Viscous friction [Nm s/rad or N s/m].
         pushed: Whose error joints are helped to leave; None: they are not helped.
+        creeping: Whether joints that move are helped as well, the slower the more: else, of a joint too slow for its
+            friction to be fed forward, the integral makes up for that, and has too much when the joint moves on.
 
     Raises:
         ValueError: An array has another shape.

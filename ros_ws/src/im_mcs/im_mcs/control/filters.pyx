@@ -1,5 +1,5 @@
 # Filters of encoders and errors, compiled; filters.pyi has the interface and what it means.
-from libc.math cimport copysign, exp, fabs, isfinite
+from libc.math cimport copysign, exp, fabs, isfinite, llround
 
 import numpy as np
 
@@ -29,17 +29,20 @@ cdef double _beyond(double x, double band):
 
 cdef class VelocityEstimator:
     cdef Py_ssize_t n
-    cdef double _gain, _decay
-    cdef object _last, _value
+    cdef long long _period_ns
+    cdef double _bandwidth, _gain, _decay
+    cdef object _last, _value, _times
 
     def __init__(self, n, period_s, bandwidth_rad_s):
         self.n = n
+        self._period_ns = llround(1e9 * period_s)
+        self._bandwidth = bandwidth_rad_s
         self._gain = (1.0 - exp(-bandwidth_rad_s * period_s)) / period_s
         self._decay = exp(-bandwidth_rad_s * period_s)
         self.reset()
 
     cpdef reset(self):
-        self._last, self._value = None, np.zeros(self.n)
+        self._last, self._value, self._times = None, np.zeros(self.n), None
 
     cpdef update(self, x):
         cdef Py_ssize_t i
@@ -52,12 +55,51 @@ cdef class VelocityEstimator:
             found = _vector(self.n)
             last, before, value = _data(self._last, self.n), _data(self._value, self.n), _data(found, self.n)
             for i in range(self.n):
-                value[i] = self._decay * before[i] + self._gain * (new[i] - last[i])
-                if not isfinite(value[i]) and isfinite(new[i]):
-                    value[i] = 0.0  # else what is not a number would stay for good
+                value[i] = self._filtered(before[i], new[i], last[i], self._decay, self._gain)
             self._value = found
         self._last = x
         return self._value
+
+    cpdef update_at(self, x, long long stamp_ns, age_s):
+        cdef Py_ssize_t i
+        cdef double *new = _data(x, self.n)
+        cdef double *age = _data(age_s, self.n)
+        cdef double *last
+        cdef double *before
+        cdef double *value
+        cdef object found
+        cdef double decay, dt
+        cdef long long taken, elapsed
+        cdef long long[::1] times
+        if self._last is None:
+            self._last, self._times = x.copy(), np.full(self.n, stamp_ns)
+            times = self._times
+            for i in range(self.n):
+                if isfinite(age[i]):
+                    times[i] = stamp_ns - llround(1e9 * age[i])
+            return self._value
+        times, found = self._times, _vector(self.n)
+        last, before, value = _data(self._last, self.n), _data(self._value, self.n), _data(found, self.n)
+        for i in range(self.n):
+            taken = stamp_ns - llround(1e9 * age[i]) if isfinite(age[i]) else stamp_ns
+            elapsed = taken - times[i]
+            if 2 * elapsed < self._period_ns:
+                value[i] = before[i]
+                continue
+            if elapsed == self._period_ns:
+                value[i] = self._filtered(before[i], new[i], last[i], self._decay, self._gain)
+            else:
+                dt = 1e-9 * elapsed
+                decay = exp(-self._bandwidth * dt)
+                value[i] = self._filtered(before[i], new[i], last[i], decay, (1.0 - decay) / dt)
+            last[i], times[i] = new[i], taken
+        self._value = found
+        return found
+
+    cdef double _filtered(self, double before, double new, double last, double decay, double gain):
+        cdef double value = decay * before + gain * (new - last)
+        # else what is not a number would stay for good
+        return 0.0 if not isfinite(value) and isfinite(new) else value
 
 
 cdef class ErrorFeedback:
@@ -141,7 +183,9 @@ cdef class ErrorFeedback:
         self._integral = made
 
 
-def friction_torque(v, turns, double share, double stiction, positive, negative, viscous, ErrorFeedback pushed=None):
+def friction_torque(
+    v, turns, double share, double stiction, positive, negative, viscous, ErrorFeedback pushed=None, bint creeping=False
+):
     cdef Py_ssize_t i, n = len(v)
     cdef object torques = _vector(n)
     cdef double *torque = _data(torques, n)
@@ -152,15 +196,15 @@ def friction_torque(v, turns, double share, double stiction, positive, negative,
     cdef double *damping = _data(viscous, n)
     cdef double *error = NULL
     cdef double *band = NULL
-    cdef double direction
+    cdef double direction, push
     if pushed is not None and not pushed.holding:
         error, band = _data(pushed.smooth_error, n), _data(pushed.deadband, n)
     for i in range(n):
         direction = share * turn[i]
-        if error is not NULL and speed[i] == 0.0:
-            direction = fabs(error[i]) / band[i] - 1.0
-            direction = 0.0 if direction < 0.0 else 1.0 if direction > 1.0 else direction
-            direction = stiction * copysign(direction, error[i])
+        if error is not NULL and (creeping or speed[i] == 0.0):
+            push = fabs(error[i]) / band[i] - 1.0
+            push = stiction * copysign(0.0 if push < 0.0 else 1.0 if push > 1.0 else push, error[i])
+            direction = push if speed[i] == 0.0 else direction + (1.0 - fabs(turn[i])) * push
         torque[i] = (forwards[i] if direction > 0.0 else backwards[i]) * direction + damping[i] * speed[i]
     return torques
 

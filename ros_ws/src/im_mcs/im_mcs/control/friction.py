@@ -32,13 +32,18 @@ class FrictionFeedforward:
         self._negative = setup.model.coulomb_negative[setup.joints]
         self._viscous = parameters.friction * setup.model.viscous_friction[setup.joints]
 
-    def torque(self, v: NDArray[np.float64], feedback: ErrorFeedback | None = None) -> NDArray[np.float64]:
+    def torque(
+        self, v: NDArray[np.float64], feedback: ErrorFeedback | None = None, *, creeping: bool = False
+    ) -> NDArray[np.float64]:
         """Friction torques, shape (n,) [Nm or N].
 
         Args:
             v: Wanted velocities, shape (n,) [rad/s or m/s].
             feedback: Whose error a joint at rest is helped to leave; none: it is not helped.
+            creeping: Whether a joint that creeps is helped, too.
         """
         turns = np.tanh(v / self._speed) if np.count_nonzero(v) else self._zero
         share, stiction = self._share, self._stiction
-        return friction_torque(v, turns, share, stiction, self._positive, self._negative, self._viscous, feedback)
+        return friction_torque(
+            v, turns, share, stiction, self._positive, self._negative, self._viscous, feedback, creeping
+        )

@@ -59,7 +59,7 @@ class LawSource:
         Raises:
             ConfigError: One cannot be loaded.
         """
-        first = self._config.group_control.get(group, self._config.control).controller
+        first = self._config.control_of(group).controller
         setup, configured = self._setup(preset, group), self._config.parameters_of_laws(group)
 
         def make(law: str, parameters: Mapping[str, Any]) -> GuardedLaw:

@@ -94,6 +94,9 @@ class Switching(Model):
 
     handover_s: float = Field(gt=0, le=10, description="time over which the torque of the previous law fades [s]")
     laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
+    pair: str = Field(
+        default="", description="module:Class, of the law of groups with two wrists; one of laws; empty: as all groups"
+    )
     yielding: tuple[str, ...] = Field(
         default=(), description="module:Class, of laws without integral: an arm that stands still is at rest anywhere"
     )
@@ -236,12 +239,20 @@ class McsConfig(Model):
         """Groups of the preset in force."""
         return self.presets[self.preset]
 
+    def control_of(self, group: str) -> Control:
+        """Return the first control law of a group; of two wrists that of pairs, if the slots take its commands."""
+        law, kind = self.switching.pair, interface_of(self.control.controller)
+        two = any(groups[group].pair for groups in self.presets.values() if group in groups)
+        if two and law in self.switching.laws and group not in self.group_control and interface_of(law) == kind:
+            return Control(controller=law, parameters=self.switching.laws[law])
+        return self.group_control.get(group, self.control)
+
     def parameters_of_laws(self, group: str) -> dict[str, dict[str, Any]]:
         """Return parameters, by ``module:Class``, of every possible control law of a group: all of one kind."""
-        first = self.group_control.get(group, self.control)
-        kind = interface_of(first.controller)
-        others = {law: given for law, given in self.switching.laws.items() if interface_of(law) == kind}
-        return {**others, first.controller: first.parameters}
+        first = self.control_of(group)
+        laws = {self.control.controller: self.control.parameters, **self.switching.laws}
+        laws[first.controller] = first.parameters
+        return {law: given for law, given in laws.items() if interface_of(law) == interface_of(first.controller)}
 
     def ranks_of(self, interface: Interface) -> tuple[int, ...]:
         """Return ranks of the joints with commands of a kind, among all joints."""
@@ -306,6 +317,8 @@ class McsConfig(Model):
         return self
 
     def _check_laws(self) -> None:
+        if (pair := self.switching.pair) and pair not in (laws := self.switching.laws):
+            raise FieldError(("switching", "pair"), f"'{pair}' is none of switching.laws: {', '.join(sorted(laws))}")
         known = {self.control.controller, *self.switching.laws, *(c.controller for c in self.group_control.values())}
         for rank, law in enumerate(self.law_processes.laws):
             if law not in known:

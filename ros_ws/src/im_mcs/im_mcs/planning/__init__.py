@@ -3,7 +3,6 @@
 | to learn | open |
 |---|---|
 | how the setpoints of a group come about | :mod:`.planner` |
-| which motions somebody waits for | :mod:`.goals` |
 | which kinds of motion there are | :mod:`.motions`, :mod:`.line` |
 | what a trajectory is, and how it is followed, slowed down and stopped | :mod:`.trajectories` |
 | whether it keeps to the limits; what becomes of one that does not | :mod:`.checks`, :mod:`.retiming` |

@@ -1,78 +1,20 @@
 """Setpoints of one group: motion at a multiple of the servo period, interpolated at servo rate."""
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import StateError
 from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.planning.motions.jog import JogFollower
+from im_mcs.planning.motions.stream import StreamFollower
+from im_mcs.planning.motions.tracked import TrackingFollower
 from im_mcs.planning.trajectories.follower import Ahead, PathFollower, Standing
 from im_mcs.planning.trajectories.polynomial import powers, quintic
 from im_mcs.planning.trajectories.scaling import least_rate, scaled
 from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
-
-class Follower(Protocol):
-    """Mover of the setpoint, from knot to knot."""
-
-    @property
-    def trajectory(self) -> Trajectory | None:
-        """What is followed; None where that is known for no time but now."""
-        ...
-
-    @property
-    def ahead(self) -> Ahead | None:
-        """Direction of a curved path; None for a straight path, or independent joints."""
-        ...
-
-    @property
-    def finished(self) -> bool:
-        """Whether the motion has come to the end, for good."""
-        ...
-
-    @property
-    def still(self) -> bool:
-        """Whether nothing moves now: at the end, or halted."""
-        ...
-
-    @property
-    def end_setpoint(self) -> Setpoint:
-        """Setpoint at the end, unless the motion is interrupted."""
-        ...
-
-    @property
-    def progress(self) -> float:
-        """Passed fraction of the motion's time, 0 to 1."""
-        ...
-
-    @property
-    def point(self) -> int:
-        """Index of the next point of the path."""
-        ...
-
-    @property
-    def sigma(self) -> float:
-        """Present time on the motion's own clock [s]."""
-        ...
-
-    @property
-    def between(self) -> Setpoint | None:
-        """Setpoints of the ticks between the last knot and the previous one, shape (ticks - 1, n) each, if known."""
-        ...
-
-    @property
-    def rate(self) -> float:
-        """Rate in force."""
-        ...
-
-    def advance(self, rate: float) -> tuple[Setpoint, int]:
-        """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
-        ...
-
-    def look_ahead(self) -> None:
-        """Prepare the likely next call of :meth:`advance`; the answer does not change."""
-        ...
+Follower = PathFollower | TrackingFollower | StreamFollower | JogFollower | Standing
+"""Mover of the setpoint, from knot to knot: :meth:`advance` returns the setpoint some servo ticks ahead."""
 
 
 class GroupPlanner:

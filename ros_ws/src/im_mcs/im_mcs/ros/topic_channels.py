@@ -6,6 +6,7 @@ The driver starts it and ends it; SETTINGS is JSON. It ends by itself when the d
 import json
 import sys
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -26,6 +27,7 @@ from im_core.ros.guard import GuardedNode
 from im_core.ros.messages.interfaces import message_class
 from im_mcs.limits.slots import Interface
 from im_mcs.testbed.joint_state import FaultTopic, TopicLink
+from im_mcs.testbed.stamp_clock import StampClock
 
 _BELL_S = 0.1
 # for how long joints that are driven no more are told to stand
@@ -64,6 +66,7 @@ class TopicChannels(GuardedNode):
         self._link = TopicLink.attach(name, TopicLink.layout(len(joints), self.points), patience_s())
         self._joints, self._silence_s = list(joints), silence_s
         self._channel = {joint: channel for channel, joint in enumerate(joints)}
+        self._clocks: dict[int, StampClock] = defaultdict(StampClock)
         self._kinds = {kind: np.array([own == kind for own in kinds]) for kind in dict.fromkeys(kinds)}
         self._order = None if order is None else [self._channel[joint] for joint in order]
         self._received = self._link.received.record()
@@ -99,14 +102,15 @@ class TopicChannels(GuardedNode):
         self._link.close()
 
     def _take(self, message: JointState) -> None:
-        now = clock.monotonic()
+        now, stamp = clock.monotonic(), message.header.stamp
+        told = [(self._channel.get(joint), q) for joint, q in zip(message.name, message.position, strict=False)]
+        places = [(channel, q) for channel, q in told if channel is not None]
         with self._lock:
             received = self._received
-            for joint, position in zip(message.name, message.position, strict=False):
-                channel = self._channel.get(joint)
-                if channel is not None:
-                    received["q"][channel] = position
-                    received["at"][channel] = now
+            if places:  # publishers of different joints have clocks of their own
+                channels, q = zip(*places, strict=True)
+                taken_s = self._clocks[channels[0]].taken_s(stamp.sec + 1e-9 * stamp.nanosec, now)
+                received["q"][list(channels)], received["at"][list(channels)] = q, taken_s
             received["named"] = ", ".join(message.name).encode()[:1024]
             self._link.received.write(received)
 

@@ -48,31 +48,19 @@ class SafetyFinding:
 
 
 class WatchedGroup(Protocol):
-    """Group from the watches' view."""
+    """Group from the watches' view.
 
-    @property
-    def name(self) -> str:
-        """Name of the group."""
-        ...
+    Attributes:
+        name: Name of the group.
+        engaged: Whether the group has setpoints and torques.
+        index: Ranks of the group's joints among all, shape (n,), and
+        place: the same, quicker to read from.
+    """
 
-    @property
-    def engaged(self) -> bool:
-        """Whether the group has setpoints and torques."""
-        ...
-
-    @property
-    def index(self) -> NDArray[np.intp]:
-        """Ranks of the group's joints among all, shape (n,)."""
-        ...
-
-    @property
-    def place(self) -> Place:
-        """The same, quicker to read from."""
-        ...
-
-    def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Setpoint less measured position, shape (n,); ``q`` of all joints."""
-        ...
+    name: str
+    engaged: bool
+    index: NDArray[np.intp]
+    place: Place
 
 
 @dataclass
@@ -82,6 +70,7 @@ class Situation:
     Attributes:
         measured: What the slots say.
         v: Estimated velocities, shape (n,) [rad/s or m/s].
+        following_error: Setpoints of the times of the readings less the readings, shape (n,) [rad or m].
         power: Whether power is commanded.
         brakes: Which brakes are commanded to hold, shape (n,).
         groups: Groups of the preset in force.
@@ -91,6 +80,7 @@ class Situation:
 
     measured: Measured
     v: NDArray[np.float64]
+    following_error: NDArray[np.float64]
     groups: Mapping[str, WatchedGroup]
     brakes: NDArray[np.bool_]
     power: bool = False
@@ -252,7 +242,7 @@ class FollowingWatch:
         for group in now.groups.values():
             if not group.engaged:
                 continue
-            error = group.following_error(now.measured.q)
+            error = now.following_error[group.place]
             if not any_beyond(error, self._limits.following_error[group.place]):
                 continue
             tick = now.measured.tick

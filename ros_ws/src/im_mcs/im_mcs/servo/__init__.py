@@ -5,9 +5,8 @@
 | what happens in one tick, from reading the slots to writing the slots | :mod:`.core` |
 | what calls it: the loop, its deadlines, the end | :mod:`.process`, :mod:`im_core.rate_groups` |
 | functions of the user's at servo rate | :mod:`.functions` |
-| how setpoints become torques | :mod:`.control_loop`, :mod:`.group`, :mod:`.gripper`, :mod:`.partition` |
+| how setpoints become torques | :mod:`.control_loop`, :mod:`im_mcs.group`, :mod:`.gripper`, :mod:`.partition` |
 | what becomes of requests, and what is answered | :mod:`.dispatch`, :mod:`.answers`, :mod:`.report` |
-| when a goal is reached, and when an arm rests | :mod:`.goal_check`, :mod:`.rest_monitor` |
-| streams of clients | :mod:`.stream_gate`, :mod:`.torque_stream` |
+| torques of clients | :mod:`.torque_stream` |
 | how simulated time waits for an owner at clock factor 0 | :mod:`.awaited` |
 """

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from im_core.errors import ImError
-from im_mcs.planning.goals import Goal
+from im_mcs.group import ControlledGroup
+from im_mcs.group.goals import Goal
 from im_mcs.protocol.evidence import Recorder
-from im_mcs.servo.group import ControlledGroup
 
 Emit = Callable[[dict[str, Any]], None]
 _PROGRESS_S = 0.1

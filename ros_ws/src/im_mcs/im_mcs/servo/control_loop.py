@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from im_core.errors import ImError
 from im_mcs.collision import Proximity
 from im_mcs.collision.guard import GuardedMonitor
+from im_mcs.group import ControlledGroup
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
@@ -17,8 +18,8 @@ from im_mcs.model import ControlledModel
 from im_mcs.model.dynamics import Place
 from im_mcs.planning import Setpoint
 from im_mcs.safety import Reaction, SafetyFinding, SetpointLimiter
+from im_mcs.safety.setpoint_history import SetpointHistory
 from im_mcs.safety.watches import ESTOP_FACTOR
-from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.torque_stream import Ended, TorqueStreams
 from im_mcs.testbed import Measured
 
@@ -77,6 +78,7 @@ class ControlLoop:
         self._saturations = saturations
         self._free(slice(None), q)
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
+        self._past = SetpointHistory(q, period_s, config.safety.driver_age_estop_s)
 
     @property
     def tau(self) -> NDArray[np.float64]:
@@ -86,6 +88,11 @@ class ControlLoop:
         tau = self.command.copy()
         tau[self._velocities + self._positions] = 0.0
         return tau
+
+    def following_error(self, m: Measured) -> NDArray[np.float64]:
+        """Return the last setpoints at the times of the readings less the readings, shape (n,) [rad or m]."""
+        error: NDArray[np.float64] = self._past.at(m.age_s)[0] - m.q
+        return error
 
     def moving(self, groups: Container[str]) -> str | None:
         """Return one of the groups with a goal."""
@@ -137,9 +144,11 @@ class ControlLoop:
         if not self.engaged:
             if self._positions:
                 self._free(slice(None), m.q)
+            self._past.push_setpoint(wanted)
             return []
         try:
             self._plan(wanted, m, v)
+            self._past.push_setpoint(wanted)
             self._control(m, v, Setpoint(wanted[0], wanted[1], wanted[2]))
         except ImError as fault:  # of a control law, or of a setpoint that is none
             return [_estop(fault, m.tick)]
@@ -198,7 +207,7 @@ class ControlLoop:
         }
         near = self.proximity = collision.update(m.q, velocity, wanted[2], curves)
         for group in self.engaged:
-            group.set_ceiling(near.speed_ceiling)
+            group.rates.set_ceiling(near.speed_ceiling)
             group.planner.look_ahead()
         if not near.stop:
             return []
@@ -217,11 +226,11 @@ class ControlLoop:
         before = self.command
         self.command = wanted = before.copy()
         self._free(slice(None), m.q)
-        gravity = self.model.gravity(m.q)
+        gravity, followed = self.model.gravity(m.q), self._past.at(m.age_s)
         for group in self.engaged:
             group.feel(m.tick, m.q, m.wrench)
             driven = self.torque_streams.torque(group.name)
-            own = group.command(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
+            own = group.command(m.tick, m.q, v, gravity, setpoint, followed) if driven is None else driven
             wanted[group.place] = own
         least, largest = self._least, self._largest
         if self._positions:  # no law makes a joint leap, or leave its range

@@ -11,11 +11,11 @@ from im_core.errors import ImError, LinkError
 from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.control.filters import VelocityEstimator
+from im_mcs.group.goals import Goal
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
 from im_mcs.model import CellModel, ControlledModel
-from im_mcs.planning.goals import Goal
 from im_mcs.protocol.evidence import Recorder
 from im_mcs.protocol.requests import Sender, request_id
 from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
@@ -100,7 +100,7 @@ class Mcs:
             measured=self.measured,
             arms=self,
         )
-        self.situation = Situation(self.measured, self.v, self.groups, self.manager.brakes)
+        self.situation = Situation(self.measured, self.v, self.v, self.groups, self.manager.brakes)
         self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations, self._testbed.faults)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
@@ -134,13 +134,13 @@ class Mcs:
             LinkError: The testbed does not answer, or no longer listens.
         """
         m = self.measured = self.manager.measured = self._testbed.read()
-        self.v = self._velocity.update(m.q)
+        self.v = self._velocity.update_at(m.q, m.stamp_ns, m.age_s)
         self._partitions.end_contacts(m.stamp_ns)
         self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
         if self._courses is not None:
-            self._courses.scale(self.groups.values(), self._testbed.speed(), m.q)
+            self._courses.scale(self.groups.values(), self._testbed.speed(), self.loop.following_error(m))
         for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
@@ -250,13 +250,13 @@ class Mcs:
         config, before = self.config.with_preset(preset), self.groups
         joints = {name: group.joints for name, group in config.groups.items()}
         heirs = self.manager.check_repartition(joints, preset, sender)
-        held = next((group.held for group in before.values() if group.held is not None), None)
+        held = next((group.rates.held for group in before.values() if group.rates.held is not None), None)
         self.groups, self._collision = self._partitions.enter(preset)
         for group in self.groups.values():
-            group.held = held
+            group.rates.held = held
         self.manager.repartition(joints, {name: group.index for name, group in self.groups.items()}, heirs)
         for heir, names in heirs.items():
-            self.groups[heir].inherit([before[name] for name in names])
+            self.groups[heir].rates.inherit([before[name].rates for name in names])
         former = [before[name] for name in dict.fromkeys(name for names in heirs.values() for name in names)]
         engaged = [self.groups[heir] for heir, names in heirs.items() if before[names[0]].engaged]
         self.loop.hand_over(former, engaged)
@@ -296,7 +296,7 @@ class Mcs:
             self._latch.clear()
         self._kept = False
         for group in self.groups.values():
-            group.held = None
+            group.rates.held = None
 
     def end_goals(self, groups: Sequence[str], reason: ImError) -> None:
         """End the goals of groups with ``reason``; what moves decelerates on its path."""
@@ -343,7 +343,7 @@ class Mcs:
     def _watch(self) -> bool:
         """Run the watches; return whether the owner gives no heartbeat, so power must go."""
         now = self.situation
-        now.measured, now.v = self.measured, self.v
+        now.measured, now.v, now.following_error = self.measured, self.v, self.loop.following_error(self.measured)
         now.power, now.brakes = self.manager.power, self.manager.brakes
         for finding in self._supervisor.check(now):
             self._react(finding)

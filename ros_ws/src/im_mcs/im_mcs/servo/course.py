@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError
+from im_mcs.group import ControlledGroup
 from im_mcs.safety import Reaction, SafetyFinding
-from im_mcs.servo.group import ControlledGroup
 from im_mcs.testbed import PlannedCourse
 
 _STEP_S = 0.05
@@ -36,7 +36,7 @@ class Courses:
         self._plan: list[object] = []
         self._end: NDArray[np.float64] | None = None
 
-    def scale(self, groups: Iterable[ControlledGroup], speed: float, q: NDArray[np.float64]) -> None:
+    def scale(self, groups: Iterable[ControlledGroup], speed: float, error: NDArray[np.float64]) -> None:
         """Let the setpoints of followed groups be as fast as the robot follows.
 
         Where the robot had halted by itself, setpoints that have braked ahead of it wait until it is there; after a
@@ -45,18 +45,18 @@ class Courses:
         Args:
             groups: All groups.
             speed: Share of the wanted speed, 0 to 1.
-            q: Measured positions of all joints, shape (n,) [rad or m].
+            error: Following errors of all joints, shape (n,) [rad or m].
         """
         followed = [group for group in groups if self._follows(group)]
         if speed == 0.0:
             self._wait_s = _PATIENCE * _CATCH_UP_S
         elif self._wait_s > 0.0:
             self._wait_s -= speed * self._period_s
-            errors = (np.abs(group.following_error(q)) - self._near[group.place] for group in followed if group.engaged)
-            if all(error.max() < 0.0 for error in errors):
+            far = np.abs(error) >= self._near
+            if not any(far[group.place].any() for group in followed if group.engaged):
                 self._wait_s = 0.0
         for group in followed:
-            group.set_scaling(0.0 if self._wait_s > 0.0 else speed)
+            group.rates.set_scaling(0.0 if self._wait_s > 0.0 else speed)
 
     def update(
         self, engaged: Sequence[ControlledGroup], command: NDArray[np.float64], speed: float

@@ -8,9 +8,10 @@ import numpy as np
 
 from im_core.errors import ImError, StateError
 from im_mcs.collision.surroundings import CollisionScene
+from im_mcs.group import ControlledGroup
+from im_mcs.group.goals import Goal
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel, ControlledModel, Payload
-from im_mcs.planning.goals import Goal
 from im_mcs.protocol.requests import (
     CancelRequest,
     CollisionSceneRequest,
@@ -40,7 +41,6 @@ from im_mcs.protocol.requests import (
 from im_mcs.servo.answers import Answers
 from im_mcs.servo.control_loop import ControlLoop
 from im_mcs.servo.gripper import Grippers
-from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.torque_stream import Ended
 from im_mcs.state import Event
 from im_mcs.state.manager import StateManager
@@ -227,7 +227,7 @@ class Dispatch:
             StateError: There is none then.
         """
         group = self._mcs.groups[request.group]
-        if group.goal is not None and (fault := group.goal.fault) is not None:
+        if group.goals and (fault := group.goals[0].fault) is not None:
             raise StateError(f"group '{group.name}' leaves its trajectory: {fault.message}", group=group.name)
         seconds = 1e-9 * (request.stamp_ns - self._mcs.measured.stamp_ns) + group.planner.period_s
         at = group.planner.at(seconds)  # its setpoint is still that of the tick before

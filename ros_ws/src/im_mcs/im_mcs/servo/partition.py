@@ -9,13 +9,13 @@ from im_core import plugins
 from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.control import LawSource
+from im_mcs.group import ControlledGroup
+from im_mcs.group.rest_monitor import RestMonitor
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.checks.context import GENERATOR, PlanContext
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.servo.group import ControlledGroup
-from im_mcs.servo.rest_monitor import RestMonitor
 
 
 class Partitions:

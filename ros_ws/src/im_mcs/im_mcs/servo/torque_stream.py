@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LimitError, StateError
+from im_mcs.group import ControlledGroup
+from im_mcs.group.goals import Goal
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.slots import interface_of
-from im_mcs.planning.goals import Goal
 from im_mcs.planning.motions.stream import LAPSED, StreamLease
 from im_mcs.protocol.requests import StreamRequest
 from im_mcs.safety.stopping_position import stopping_position
-from im_mcs.servo.group import ControlledGroup
 
 Ended = tuple[ControlledGroup, Goal, ImError]
 

@@ -49,7 +49,7 @@ class TopicLink(SharedRecord):
     """Memory between driver and bridge: received readings one way, commands for publication the other.
 
     Attributes:
-        received: Positions and when each was received, by joint, and faults; the bridge writes.
+        received: Positions and when each was taken, by joint, and faults; the bridge writes.
         command: Commands, and which joints are driven; the driver, the creator, writes.
         bell: Rung by the driver when there is a command.
         course: Newest course, where the robot follows courses; the driver writes.
@@ -61,8 +61,8 @@ class TopicLink(SharedRecord):
     def layout(n: int, points: int = 0) -> np.dtype[np.void]:
         """Return the fields of a link of ``n`` joints, and of courses of so many points.
 
-        ``received``: positions, the wall times of the receipt (0: never) [s], the names of the last message, the
-        present faults, why the bridge cannot work, and the share of full speed. ``command``: commands, the driven
+        ``received``: positions, when they were taken, monotonic clock (0: never) [s], the names of the last message,
+        the present faults, why the bridge cannot work, and the share of full speed. ``command``: commands, the driven
         joints, and the time of writing, monotonic clock [s]. ``course``: its number, points, times [s], positions and
         velocities.
         """
@@ -89,7 +89,9 @@ class JointStateDriver:
     position the one given with the brake, or without one the last one measured; then it is not in what is published, as
     torques are not at once. A robot holds a
     joint that has not been commanded for longer than it allows. Power and brakes are taken to be as wanted, as the
-    topics do not tell; but there is no power while a fault topic tells a fault. Stamps are of the computer's clock.
+    topics do not tell; but there is no power while a fault topic tells a fault. Stamps of readings are of the
+    computer's clock. The robot's own stamps tell ages (:class:`~im_mcs.testbed.stamp_clock.StampClock`); the velocities
+    of its messages are not read.
 
     Args:
         instance: Which machine on this host.
@@ -99,7 +101,7 @@ class JointStateDriver:
         state_topic: Positions, from the robot.
         command_topic: Torques, velocities and positions, to the robot.
         period_s: Time between ticks [s].
-        silence_s: A reading older than this, counted from its receipt, is a fault [s].
+        silence_s: A reading older than this is a fault [s].
         faults: Of each fault topic, the fields of :class:`FaultTopic`.
 
     Raises:
@@ -133,8 +135,8 @@ class JointStateDriver:
         self.period_s = self.wall_period_s = period_s
         self._silence_s = silence_s
         self._topic = state_topic
-        self._tick, self._stamp_ns = 0, 0
-        self._offset_s = 0.0
+        self._tick = 0
+        self._offset_s = clock.wall() - clock.monotonic()  # once: time that goes back would hold leases and velocities
         self._drive = Drive(
             np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(0), False, np.zeros(0)
         )
@@ -187,14 +189,14 @@ class JointStateDriver:
             LinkError: The robot, or the process, has been silent for too long; names topic, joint and seconds.
         """
         try:
-            q, age_s = self._newest()
+            q, age_s, now = self._newest()
         except LinkError:
             self._command(np.full(self.n_joints, np.nan), np.zeros(self.n_joints, dtype=np.bool_))
             raise
         power = self._drive.power and not self._faults
         braked = self._drive.brakes | (not power)
-        self._stamp_ns = max(self._stamp_ns + 1, round(1e9 * (self._offset_s + clock.monotonic())))
-        return Measured(self._tick, self._stamp_ns, q, power, braked, np.zeros(0), age_s, np.zeros((0, 6)), np.zeros(0))
+        stamp_ns = round(1e9 * (self._offset_s + now))
+        return Measured(self._tick, stamp_ns, q, power, braked, np.zeros(0), age_s, np.zeros((0, 6)), np.zeros(0))
 
     def write(self, drive: Drive) -> None:
         """Publish the commands of all joints with power and without brake."""
@@ -221,7 +223,6 @@ class JointStateDriver:
 
     def _start_bridge(self) -> None:
         self._next_start = clock.monotonic() + _AGAIN_S
-        self._offset_s = clock.wall() - clock.monotonic()
         self._process = ChildProcess.of_module(self.bridge, [self._settings])
 
     def _command(self, value: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
@@ -231,11 +232,11 @@ class JointStateDriver:
         self._link.command.write(record)
         self._link.bell.post()
 
-    def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return positions and the ages, shape (n,) each."""
-        received = self._link.received.read()
+    def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Return positions and their ages, shape (n,) each, and the present time, monotonic clock [s]."""
+        received, now = self._link.received.read(), clock.monotonic()
         self._faults = _text(received["faults"])
-        age_s: NDArray[np.float64] = np.maximum(clock.monotonic() - received["at"], 0.0)
+        age_s: NDArray[np.float64] = np.maximum(now - received["at"], 0.0)
         if age_s.max() > self._silence_s:
             self._check_bridge()
             oldest = int(np.argmax(age_s))
@@ -247,7 +248,7 @@ class JointStateDriver:
                 seconds=float(age_s[oldest]),
                 allowed=self._silence_s,
             )
-        return received["q"].copy(), age_s
+        return received["q"].copy(), age_s, now
 
     def _wait_for_all(self, timeout_s: float) -> None:
         deadline = clock.monotonic() + timeout_s
@@ -291,7 +292,7 @@ class CommandTopicDriver(JointStateDriver):
         command_topic: Commands, e.g. ``/forward_position_controller/commands``.
         command_joints: The parameter ``joints`` of the controller, in its order; ``joints`` if not given.
         period_s: Time between ticks [s].
-        silence_s: A reading older than this, counted from its receipt, is a fault [s].
+        silence_s: A reading older than this is a fault [s].
         faults: As of :class:`JointStateDriver`.
 
     Raises:

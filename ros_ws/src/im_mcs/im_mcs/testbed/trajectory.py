@@ -28,7 +28,7 @@ class TrajectoryDriver(JointStateDriver):
         speed: Fields of :class:`~im_mcs.testbed.joint_state.SpeedTopic`, of a robot that may follow slower than it is
             asked to: MCS goes along.
         period_s: Time between ticks [s].
-        silence_s: A reading older than this, counted from its receipt, is a fault [s].
+        silence_s: A reading older than this is a fault [s].
         faults: As of :class:`~im_mcs.testbed.joint_state.JointStateDriver`.
 
     Raises:

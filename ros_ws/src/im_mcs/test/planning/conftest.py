@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.control import ControlInput
+from im_mcs.group import ControlledGroup
+from im_mcs.group.goals import Goal
+from im_mcs.group.rest_monitor import RestMonitor
 from im_mcs.limits.configuration import McsConfig, Planning
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.goals import Goal
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.points import TimedPoints, pack_points
 from im_mcs.protocol.requests import parse_request
-from im_mcs.servo.group import ControlledGroup
-from im_mcs.servo.rest_monitor import RestMonitor
 
 WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.6, 0.9])
 
@@ -121,7 +121,10 @@ class Rig:
             self.q_all[self.index] = setpoint.q - self.error
             v = np.zeros_like(self.q_all)
             v[self.index] = setpoint.v - self.velocity_error
-            self.group.command(self.tick, self.q_all.copy(), v, np.zeros_like(v), Setpoint.at_rest(self.q_all))
+            followed = np.array([self.q_all, v])
+            followed[:, self.index] = setpoint.q, setpoint.v
+            rest = Setpoint.at_rest(self.q_all)
+            self.group.command(self.tick, self.q_all.copy(), v, np.zeros_like(v), rest, followed)
             for goal, fault, results in self.group.ended():
                 self.results[goal.id] = fault, results, self.tick
 

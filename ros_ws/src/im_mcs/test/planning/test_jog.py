@@ -210,7 +210,7 @@ def test_a_pause_and_a_protective_stop_hold_and_say_so(rig, way):
     assert rig.group.jog_limit is JogLimit.COLLISION
     assert not rig.trace[-1].v.any()
     rig.group.resume()
-    rig.group.set_ceiling(0.5)
+    rig.group.rates.set_ceiling(0.5)
     rig.ticks(200)
     assert rig.group.jog_limit is JogLimit.COLLISION_AHEAD
     np.testing.assert_allclose(rig.trace[-1].v, 0.1 * way, atol=1e-9)

@@ -156,7 +156,7 @@ def test_whatever_comes_the_setpoint_never_leaps(make_rig, way, divisor, acts, s
             asked.append(_act(rig, act, way, random))
         rig.ticks(ticks)
     rig.group.resume()
-    rig.group.set_ceiling(1.0)
+    rig.group.rates.set_ceiling(1.0)
     rig.run()
     assert rig.group.goals == ()
     assert set(rig.results) >= {goal for goal in asked if goal is not None}
@@ -190,5 +190,5 @@ def _act(rig, act, way, random):
         case "speed":
             group.set_speed(float(random.uniform(0.2, 1.0)))
         case "ceiling":
-            group.set_ceiling(float(random.uniform(0.05, 1.0)))
+            group.rates.set_ceiling(float(random.uniform(0.05, 1.0)))
     return None

@@ -94,6 +94,25 @@ def led(rig, course, rate_hz, seconds, compose, random):
     return goals
 
 
+@pytest.mark.parametrize("share", [0.14, 0.1, 0.05])
+def test_the_speed_that_is_set_bounds_a_stream_at_once_and_lets_it_catch_up(rig, way, share):
+    course, servo = sine(rig, way / way.max()), ServoNode()
+
+    def message(now_s, course):
+        rig.group.set_speed(share if 1.2 <= now_s < 3.0 else 1.0)
+        return servo.message(now_s, course)
+
+    none_is_refused(rig, led(rig, course, 100, 5.0, message, np.random.default_rng(1)))
+    fastest = np.abs(rig.v / rig.limits.velocity).max(axis=1)
+    slow = slice(round(1.6 / rig.period), round(3.0 / rig.period))
+    assert fastest[: round(1.2 / rig.period)].max() > 1.3 * share
+    assert 0.9 * share < fastest[slow].max() <= share + 1e-3
+    assert ((rig.q[slow.stop] - rig.q[slow.start]) * way > 0.0).all()
+    off = np.abs(rig.q[-1] - course((len(rig.trace) - 1) * rig.period)[0]).max()
+    assert off < 0.02
+    rig.check_motion(acceleration=1.03, jerk=1.1)
+
+
 @pytest.mark.parametrize("rate_hz", [30, 100])
 def test_windows_of_moveit_servo_are_followed(rig, way, rate_hz):
     course = sine(rig, way / way.max())

@@ -38,15 +38,18 @@ class TrackedTrajectory(PiecewisePolynomial):
     Attributes:
         begin_s: Time on its own clock from which on it is tracked [s], and
         end_s: from which on the motion decelerates to rest, wherever it is; infinite: it is tracked to its end.
+        streamed: Whether it is a window of a stream: its clock is the sender's, so the rate bounds velocities instead.
     """
 
-    begin_s, end_s = 0.0, math.inf
+    begin_s, end_s, streamed = 0.0, math.inf, False
 
     @classmethod
-    def of(cls, asked: PiecewisePolynomial, begin_s: float = 0.0, end_s: float = math.inf) -> "TrackedTrajectory":
+    def of(
+        cls, asked: PiecewisePolynomial, begin_s: float = 0.0, end_s: float = math.inf, *, streamed: bool = False
+    ) -> "TrackedTrajectory":
         """Return the same trajectory, to be tracked between some times on its clock [s]."""
         tracked = cls(asked.lengths, asked.coefficients, asked.points)
-        tracked.begin_s, tracked.end_s = begin_s, end_s
+        tracked.begin_s, tracked.end_s, tracked.streamed = begin_s, end_s, streamed
         return tracked
 
 
@@ -78,8 +81,11 @@ class TrackingFollower:
         tick_s: float,
         divisor: int,
     ) -> None:
-        self._state, self.trajectory, self._limits = start, trajectory, limits
+        self._state, self.trajectory, self._full = start, trajectory, limits
         self._tick_s, self._divisor = tick_s, divisor
+        self._bound, self._bounded = rate, False
+        self._limits = self._limits_at(rate)
+        rate = self._pace(rate)
         self._clock, self._t = Clock(rate, trajectory.begin_s), 0.0
         self._way = PiecewisePolynomial.standing(start.q)
         self._passed, self._last, self._over = 0.0, False, False
@@ -128,8 +134,11 @@ class TrackingFollower:
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
-        if rate != self._clock.rate and not self._over:
-            self._change_rate(rate)
+        if rate != self._bound and not self._over:
+            self._bound, self._bounded = rate, self.trajectory.streamed
+            self._limits = self._limits_at(rate)
+        if self._pace(rate) != self._clock.rate and not self._over:
+            self._change_rate(self._pace(rate))
         if self.sigma >= self.trajectory.end_s and not self._over:
             self._way, self._passed, self._last, self._over = to_rest(self._state, self._limits), 0.0, True, True
         if not (self._arrived or self._over or (self._last and self._left() <= 0.0)):
@@ -151,6 +160,15 @@ class TrackingFollower:
     def _arrived(self) -> bool:
         """Whether the setpoint rests where the trajectory rests from now on."""
         return self._last and self._passed >= self._way.duration - _LEAST * self._tick_s
+
+    def _pace(self, rate: float) -> float:
+        """Return the rate of the clock; the clock of a stream goes on or stands."""
+        return 1.0 if self.trajectory.streamed and rate > 0.0 else rate
+
+    def _limits_at(self, rate: float) -> MotionLimits:
+        if not self.trajectory.streamed or rate in (0.0, 1.0):
+            return self._full
+        return MotionLimits(self._full.velocity * rate, self._full.acceleration, self._full.jerk)
 
     def _change_rate(self, rate: float) -> None:
         """Let the clock go over to another rate, as quickly as accelerations along the trajectory allow."""
@@ -190,11 +208,11 @@ class TrackingFollower:
         if good.size:
             k = int(good[0])
             self._go(PiecewisePolynomial(times[k : k + 1], ways[k : k + 1]), float(times[k]))
-        elif not (self._last or self._passed + knot_s < self._way.duration):
+        elif self._bounded or not (self._last or self._passed + knot_s < self._way.duration):
             self._go(*self._quickest(float(times[0])))
 
     def _go(self, way: PiecewisePolynomial, seconds: float) -> None:
-        self._way, self._passed = way, 0.0
+        self._way, self._passed, self._bounded = way, 0.0, False
         self._last = seconds >= self._left() - _LEAST
 
     def _quickest(self, seconds: float) -> tuple[PiecewisePolynomial, float]:

@@ -61,7 +61,7 @@ class WindowPreparation:
             next(self._work)
         except StopIteration as done:
             course, begin_s, end_s = done.value
-            return TrackedTrajectory.of(course, self._passed_s() - begin_s, end_s - begin_s)
+            return TrackedTrajectory.of(course, self._passed_s() - begin_s, end_s - begin_s, streamed=True)
         return None
 
     def _prepare(self) -> Generator[None, None, tuple[PiecewisePolynomial, float, float]]:

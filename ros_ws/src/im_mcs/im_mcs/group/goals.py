@@ -9,7 +9,7 @@ from im_mcs.planning.motions.preparation import Preparation
 from im_mcs.planning.motions.stream import OpenFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Trajectory
-from im_mcs.protocol.requests import SLOWEST, Move, Policy
+from im_mcs.protocol.requests import Move, Policy
 
 
 @dataclass
@@ -89,31 +89,3 @@ class Current:
     ticks: int = 0
     at_once: bool = False
     contact: ContactWatch | None = None
-
-
-@dataclass
-class Rates:
-    """Causes of the rate of motions.
-
-    Attributes:
-        override: Of the client, above 0 up to 1; 0 halts.
-        ceiling: Of the collision monitor, above 0 up to 1.
-        scaling: Of the robot itself, 0 to 1, on top of the others; 0 halts.
-        paused: By the client.
-        protective: Fault of a protective stop in force.
-    """
-
-    override: float = 1.0
-    ceiling: float = 1.0
-    scaling: float = 1.0
-    paused: bool = False
-    protective: ImError | None = None
-
-    def of(self, current: Current | None, share: float | None = None) -> float:
-        """Rate wanted of a motion."""
-        halted = self.paused or 0.0 in (self.override, self.scaling) or self.protective is not None
-        if halted or (current is not None and current.goal.fault is not None):
-            return 0.0
-        if share is None:
-            share = 1.0 if current is None else current.share
-        return min(max(self.override * share, SLOWEST), self.ceiling) * self.scaling
