@@ -149,9 +149,9 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     with contextlib.suppress(StoreError):  # a shell then completes no names
         write_whole(run_dir() / "commands.txt", completions(commands))
     if options.name is None:
-        print_list(commands, under_way := machine.under_way)
+        print_list(commands, states := machine.under_way)
         with contextlib.suppress(StoreError):
-            write_whole(run_dir() / "numbers.txt", "".join(f"{state.command_id}\n" for state in under_way))
+            write_whole(run_dir() / "numbers.txt", "".join(f"{state.command_id}\n" for state in states))
         return DONE
     try:
         parser = CommandParser(command_told(commands, options.name, {} if options.name in known else machine.left_out))
