@@ -6,7 +6,6 @@ Where a pose does not fit, one camera's spot is wrong, or the robot's position t
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,22 +148,12 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     """
     line = linearise(fit.unknowns, problem, layout, problem.detected & projectable(fit.unknowns, problem))
     table, width = problem.poses_of_readings, line.residuals.shape[1]
-    there = table >= 0
-
-    def by_reading(each: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(each[table] * there.reshape(*there.shape, *[1] * (each.ndim - 1))).reshape(
-            len(table), -1, *each.shape[2:]
-        )
-
-    shared = layout.shared_slice
+    shared, by_reading = layout.shared_slice, problem.by_reading
     kept = np.r_[0 : shared.start, shared.stop : layout.size]
     residuals = by_reading(line.residuals + line.jacobians[:, :, shared] @ fit.unknowns.shared_errors)
     rows, all_jacobians = by_reading(np.repeat(used.T, 2, axis=1)), by_reading(line.jacobians[:, :, kept])
     together = by_reading(line.by_point @ problem.shared_roots)
-    covariances = together @ np.swapaxes(together, 1, 2)
-    blocks = [slice(start, start + width) for start in range(0, covariances.shape[1], width)]
-    for poses, block in zip(table.T, blocks, strict=True):
-        covariances[:, block, block] += line.covariances[poses]
+    covariances = together @ np.swapaxes(together, 1, 2) + problem.joined(line.covariances, 1.0)
     both = rows[:, :, None] & rows[:, None, :]
     across = fit.information[kept, shared]
     information = fit.information[np.ix_(kept, kept)]
@@ -179,7 +168,8 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     errors = residuals + (gain @ np.where(rows, residuals, 0.0)[..., None])[..., 0]
     covariances = covariances + spread + gain @ np.swapaxes(from_used, 1, 2)
     own_errors, own_covariances = np.empty_like(line.residuals), np.empty_like(line.covariances)
-    for poses, block in zip(table.T, blocks, strict=True):
+    for number, poses in enumerate(table.T):
+        block = slice(number * width, (number + 1) * width)
         own_errors[poses[poses >= 0]] = errors[poses >= 0, block]
         own_covariances[poses[poses >= 0]] = covariances[poses >= 0, block, block]
     return Prediction(own_errors, own_covariances, line.by_point)
