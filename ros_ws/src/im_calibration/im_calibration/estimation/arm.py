@@ -160,8 +160,8 @@ def _of_readings(likelihood: NoiseLikelihood) -> Array:
     """Return factors on shifts and turns of greatest likelihood, with any noise; 0 where the noise alone does as well."""
     noise, none = np.array([True, True, False, False]), np.array([0.0, 0.0, -_NONE, -_NONE])
     logs, without = likelihood.maximum(none, noise)
-    starts = (2.0 * np.log(np.array([1.0, less, size, size])) for size in (0.03, _USUAL) for less in (1.0, 0.1))
-    logs, least = min((likelihood.maximum(start, np.ones(4, bool)) for start in starts), key=lambda found: found[1])
+    starts = (np.log([1.0, less, size, size]) * 2.0 for size in (0.03, _USUAL) for less in (1.0, 0.1))
+    logs, least = likelihood.maximum(min(starts, key=likelihood.deviance), np.ones(4, bool))
     if without - least < _GAIN:
         return np.zeros(2)
     return np.clip(np.exp(logs[2:] / 2.0), _LEAST, 1.0)

@@ -184,7 +184,10 @@ class NoiseLikelihood:
         gradient = (shares * (1.0 - leverage - left**2 / variances)).sum(axis=1)
         gradient[0] -= self._unused + self._beside / np.exp(logs[0])
         # of the information, the other parts and what they leave for the robot: no further product over all rows
-        others = [(self._jacobians.T * (share / variances)) @ self._jacobians for share in np.delete(shares, 1, axis=0)]
+        others = []
+        for share in np.delete(shares, 1, axis=0):
+            rows = self._jacobians if share.all() else self._jacobians[share > 0.0]
+            others.append((rows.T * (share / variances)[share > 0.0]) @ rows)
         taken = [inverse @ other for other in (others[0], information - self._prior - self._ridge - sum(others), *others[1:])]
         expected = (shares * (1.0 - 2.0 * leverage)) @ shares.T
         expected += [[(one * other.T).sum() for other in taken] for one in taken]

@@ -96,7 +96,8 @@ class ArmError:
         away, wrists = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0), poses[:, :3, :3]
         away = away / max(float(np.sqrt((away**2).sum(axis=1).mean())), 1e-300)
         blocks = [(share, _powers(away, order)) for order, share in ({0: 1.0} | _SHARES).items()]
-        blocks.append((_WRIST_SHARE, (wrists - wrists.mean(axis=0)).reshape(len(poses), 9)))
+        turned = (wrists - wrists.mean(axis=0)).reshape(len(poses), 9)
+        blocks += [(1.0, turned), (1.0, np.einsum("ni,nj->nij", away, turned).reshape(len(poses), 27))]
         terms = [share * block / max(float(np.linalg.norm(block)), 1e-300) for share, block in blocks]
         left, values, _ = np.linalg.svd(np.concatenate(terms, axis=1), full_matrices=False)
         kept = (left * values)[:, values > _KEPT * values[0]]
