@@ -114,7 +114,7 @@ def _preferred(found: Explanation) -> bool:
 
 
 def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array:
-    """Return factors on the largest error: of greatest likelihood, 0 where none is needed; or the mean of the possible."""
+    """Return factors on the largest error: of greatest likelihood, 0 where none is needed; or the mean of the rest."""
     problem = replace(found.problem, arm_error=whole)
     layout = ParameterLayout.of(problem)
     unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
@@ -150,14 +150,14 @@ def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array
     if not robot_known:
         possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
         sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
-        return np.sqrt((possible * sizes).sum(keepdims=True) / possible.sum())
+        return np.asarray(np.sqrt((possible * sizes).sum(keepdims=True) / possible.sum()))
     if deviance[0] - deviance[best] < _GAIN:
         return np.zeros(1)
-    return np.minimum(np.sqrt(t2[best] * noise[best]), 1.0)
+    return np.asarray(np.minimum(np.sqrt(t2[best] * noise[best]), 1.0))
 
 
 def _of_readings(likelihood: NoiseLikelihood) -> Array:
-    """Return factors on shifts and turns of greatest likelihood, with any noise; 0 where the noise alone does as well."""
+    """Return factors on shifts and turns of greatest likelihood, with any noise; 0 where noise alone does as well."""
     noise, none = np.array([True, True, False, False]), np.array([0.0, 0.0, -_NONE, -_NONE])
     logs, without = likelihood.maximum(none, noise)
     starts = (np.log([1.0, less, size, size]) * 2.0 for size in (0.03, _USUAL) for less in (1.0, 0.1))

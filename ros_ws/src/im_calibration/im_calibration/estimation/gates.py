@@ -151,7 +151,8 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     shared, by_reading = layout.shared_slice, problem.by_reading
     kept = np.r_[0 : shared.start, shared.stop : layout.size]
     residuals = by_reading(line.residuals + line.jacobians[:, :, shared] @ fit.unknowns.shared_errors)
-    rows, all_jacobians = by_reading(np.repeat(used.T, 2, axis=1)), by_reading(line.jacobians[:, :, kept])
+    rows = by_reading(np.repeat(used.T, 2, axis=1).astype(float)) > 0.0
+    all_jacobians = by_reading(line.jacobians[:, :, kept])
     together = by_reading(line.by_point @ problem.shared_roots)
     covariances = together @ np.swapaxes(together, 1, 2) + problem.joined(line.covariances, 1.0)
     both = rows[:, :, None] & rows[:, None, :]

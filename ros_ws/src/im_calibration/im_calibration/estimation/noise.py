@@ -188,7 +188,8 @@ class NoiseLikelihood:
         for share in np.delete(shares, 1, axis=0):
             rows = self._jacobians if share.all() else self._jacobians[share > 0.0]
             others.append((rows.T * (share / variances)[share > 0.0]) @ rows)
-        taken = [inverse @ other for other in (others[0], information - self._prior - self._ridge - sum(others), *others[1:])]
+        robot = information - self._prior - self._ridge - sum(others)
+        taken = [inverse @ other for other in (others[0], robot, *others[1:])]
         expected = (shares * (1.0 - 2.0 * leverage)) @ shares.T
         expected += [[(one * other.T).sum() for other in taken] for one in taken]
         expected[0, 0] -= self._unused

@@ -246,7 +246,7 @@ class CalibrationProblem:
         return table
 
     def by_reading(self, each: Array) -> Array:
-        """Put rows of the poses of each reading behind one another, zeros last, shape (n, w, ...) -> (r, most w, ...)."""
+        """Put rows of the poses of each reading in a row, zeros last, shape (n, w, ...) -> (r, most w, ...)."""
         table = self.poses_of_readings
         there = (table >= 0).reshape(*table.shape, *[1] * (each.ndim - 1))
         return np.asarray(each[table] * there).reshape(len(table), -1, *each.shape[2:])

@@ -134,8 +134,12 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
     places, frames = placed.places[k if robot is None else of], placed.world[k]
     points = (places[:, :3, :3] @ views.points[p][..., None])[..., 0] + places[:, :3, 3]
     positions = (frames[:, :3, :3] @ points[..., None])[..., 0] + frames[:, :3, 3]
-    levers = None if robot is None else _levers(robot, frames, points)
-    roots = None if robot is None or levers is None else _roots(robot, k, levers)
+    roots = arm_jacobians = arm = None
+    if robot is not None:
+        levers = _levers(robot, frames, points)
+        roots = _roots(robot, k, levers)
+        arm_jacobians = None if robot.arm is None else levers @ robot.arm[k]
+        arm = ArmError.of_readings(robot.poses, k, levers) if robot.arm is None else None
     deviations = np.where(np.isfinite(views.deviations), views.deviations, np.nanmedian(views.deviations))
     n = len(k)
     low, high = np.quantile(positions, (0.03, 0.97), axis=0)
@@ -147,7 +151,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         positions=positions,
         position_covariances=np.zeros((n, 3, 3)) if roots is None else roots @ np.swapaxes(roots, 1, 2),
         wrist_rotations=np.tile(np.eye(3), (n, 1, 1)),
-        arm_jacobians=None if robot is None or robot.arm is None else levers @ robot.arm[k],
+        arm_jacobians=arm_jacobians,
         spots=views.spots[:, k, p],
         spot_covariances=deviations[:, k, p][..., None, None] ** 2 * np.eye(2),
         pose_names=tuple(f"{views.names[view]} point {point}" for view, point in zip(k, p, strict=True)),
@@ -160,7 +164,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
             frames[:, :3, :3],
             points,
             placed.places[np.unique(k)] if robot is None else placed.places,
-            None if robot is None or robot.arm is not None else ArmError.of_readings(robot.poses, k, levers),
+            arm,
             roots,
             np.zeros(3) if robot is None else None,
             robot is not None and robot.camera_moves,
@@ -178,7 +182,7 @@ def _roots(robot: RobotPoses, of: NDArray[np.intp], levers: Array) -> Array:
         levers: Derivatives of the points by a shift and a turn of the link, shape (n, 3, 6) [-], [m].
     """
     if robot.covariances is None:
-        return levers * np.repeat([robot.sd_m, robot.sd_rad], 3)
+        return np.asarray(levers * np.repeat([robot.sd_m, robot.sd_rad], 3))
     values, axes = np.linalg.eigh(robot.covariances)
     return np.asarray(levers @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of, :, ::-1])
 
