@@ -79,15 +79,26 @@ class Agreement:
         """
         self._prediction, self._detected, self._scale = prediction, detected, scale
 
-    def cameras(self, pose: int) -> list[int]:
-        """Return the cameras with usable spots; empty if the wrong camera cannot be identified.
+    def usable(self) -> Mask:
+        """Mark the usable spots, shape (c, n)."""
+        rows = np.repeat(self._detected.T, 2, axis=1)
+        both = rows[:, :, None] & rows[:, None, :]
+        covariances = np.where(both, self._scale * self._prediction.covariances, np.eye(rows.shape[1]))
+        errors = np.where(rows, self._prediction.errors, 0.0)
+        squared = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
+        gates = np.array([0.0, *(_gate(2 * count) for count in range(1, len(self._detected) + 1))])
+        chosen = self._detected & (squared <= gates[self._detected.sum(axis=0)])
+        for pose in np.flatnonzero(self._detected.any(axis=0) & ~chosen.any(axis=0)):
+            chosen[self._cameras(int(pose)), pose] = True
+        return np.asarray(chosen)
+
+    def _cameras(self, pose: int) -> list[int]:
+        """Return the cameras with usable spots where not all are; empty if the wrong camera cannot be identified.
 
         A camera is to blame only if the spots contradict each other wherever the LED was; if they do not, the robot's
         position may be wrong as well, and the whole pose goes.
         """
         seen = np.flatnonzero(self._detected[:, pose])
-        if self._distance(pose, seen) <= _gate(2 * len(seen)):
-            return [int(c) for c in seen]
         contradiction = self._prediction.distance(pose, seen, scale=self._scale, free=True)
         if len(seen) < 2 or contradiction <= _gate(2 * len(seen) - 3):
             return []
@@ -188,10 +199,7 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayo
         prediction = predict_from_others(fit, problem, layout, used)
         if widen:
             scale = _noise_scale(prediction, used)
-        agreement = Agreement(prediction, detected, scale)
-        chosen = np.zeros_like(used)
-        for pose in np.flatnonzero(detected.any(axis=0)):
-            chosen[agreement.cameras(int(pose)), pose] = True
+        chosen = Agreement(prediction, detected, scale).usable()
         recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
         if recurring:
             chosen &= used  # a spot may only leave: the iteration ends
