@@ -49,7 +49,7 @@ class Explanation:
 
 
 def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the problem with a usual error of the arm, where it is much of what is seen: gates need some size."""
+    """Return the problem with a usual error of the arm, where such an error is expected: gates need some size."""
     if problem.arm_jacobians is None and (problem.placements is None or problem.placements.arm is None):
         return problem
     whole = _largest(problem)
