@@ -1,6 +1,6 @@
 """Synthetic views of a target with known truth: places of points in images, and poses of a robot, with noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,25 @@ def make_views(
         poses, {},
     )  # fmt: skip
     return TrueViews(views, tuple(cameras), place)
+
+
+def bent(true: TrueViews, size_m: float, seed: int) -> TrueViews:
+    """Return the views of a robot that is off by a smooth error, a quadratic polynomial of the place.
+
+    Args:
+        true: The views of a robot that is not.
+        size_m: RMS of each coordinate of the place [m]; the turns are off by 1 mrad for 1 mm.
+        seed: Of the error.
+    """
+    robot = true.views.robot
+    assert robot is not None
+    away, poses = robot.poses[:, :3, 3] - robot.poses[:, :3, 3].mean(axis=0), robot.poses.copy()
+    fields = np.random.default_rng((seed, 3)).normal(size=(2, 3, 3, 3))
+    shifts, turns = (np.einsum("ni,nj,ijk->nk", away, away, field) for field in fields)
+    poses[:, :3, 3] += size_m / np.sqrt((shifts**2).mean()) * shifts
+    for pose, turn in zip(poses, size_m / np.sqrt((turns**2).mean()) * turns, strict=True):
+        pose[:3, :3] = matrix_of_vector(turn) @ pose[:3, :3]
+    return replace(true, views=replace(true.views, robot=replace(robot, poses=poses)))
 
 
 def transform(vector: Array, shift: Array) -> Array:

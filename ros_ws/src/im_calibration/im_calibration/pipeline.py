@@ -85,6 +85,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
         if bent.problem.arm_error is not None and not _nonsense(bent):
             explanation = bent
         else:
+            explanation = bent if bent.problem.arm_error is None else explanation
             cause = find_cause(stated) if _nonsense(explanation) else ""
             hopeless = explanation.gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
             if not cause and not hopeless:

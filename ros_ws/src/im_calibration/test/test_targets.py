@@ -96,6 +96,8 @@ def test_corners_of_tags_alone_do_not_depend_on_the_sensor(sensor):
 @pytest.mark.parametrize(("text", "other", "told"), [
     ("chessboard:8x5:30mm", "chessboard:8x6:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
     ("chessboard:8x5:30mm", "chessboard:7x5:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
+    ("chessboard:8x5:30mm", "chessboard:4x3:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
+    ("chessboard:8x5:30mm", "chessboard:5x4:30mm", "As {} it is found in 3 of 3: count its inner corners again"),
     ("charuco:7x5:40mm:30mm:4X4_50", "charuco:6x4:40mm:30mm:4X4_50", "As {} it is found in 3 of 3: count its squares"),
     ("charuco:7x5:40mm:30mm:4X4_50", "charuco:7x5:40mm:30mm:6X6_50", "Markers 0 to 16 of 4X4_50 are seen, 17 numbers"),
     ("tags:4x3:60mm:18mm:tag25h9", "tags:4x3:60mm:18mm:tag36h11", "Markers 0 to 11 of APRILTAG_25H9 are seen, 12 numb"),

@@ -37,7 +37,7 @@ def brief_summary(report: Mapping[str, Any]) -> str:
         "",
         f"points           {report['points_used']} used, {len(report['points_rejected'])} left out; "
         f"chi2/dof {_text(report['chi2_per_dof'], '.3f')}",
-        _place_line(report),
+        *_place_line(report),
         error_lines(report),
     ]
     timing = report.get("timing", {})
@@ -49,15 +49,18 @@ def brief_summary(report: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _place_line(report: Mapping[str, Any]) -> str:
+def _place_line(report: Mapping[str, Any]) -> list[str]:
+    """Return where light or target are, in a line; of a target without a robot there is nothing to tell."""
     target = report.get("target")
+    if not target and report.get("views"):
+        return []
     place = [row[3] for row in target["transform"][:3]] if target else report["led_offset_m"]
     values = ", ".join(f"{1e3 * value:.2f}" for value in place)
-    return (
+    return [
         f"target           ({values}) mm in the {target['frame']}"
         if target
         else f"light            ({values}) mm from the wrist"
-    )
+    ]
 
 
 def error_lines(report: Mapping[str, Any]) -> str:
@@ -86,15 +89,14 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         f"neighbours          {_neighbours_text(report['neighbours'])}",
         f"noise               {_noise_text(report['noise'])}",
         f"error of the arm    {1e3 * report['arm_error_m']:.3g} mm in each coordinate",
-        "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
     if target := report.get("target"):
-        lines[-1] = "target [mm]         " + _vector(
-            [row[3] for row in target["transform"][:3]],
-            [float(target["covariance"][k][k]) ** 0.5 for k in (3, 4, 5)],
-            1e3,
-        )
-        lines[-1] += f" in the {target['frame']}"
+        place = [row[3] for row in target["transform"][:3]]
+        deviations = [float(target["covariance"][k][k]) ** 0.5 for k in (3, 4, 5)]
+        lines.append(f"target [mm]         {_vector(place, deviations, 1e3)} in the {target['frame']}")
+    elif not report.get("views"):
+        offset = _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3)
+        lines.append(f"LED offset [mm]     {offset}")
     if report["scale"]:
         scale = report["scale"]
         lines.append(
@@ -120,7 +122,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
 
 def _used_line(report: Mapping[str, Any]) -> str:
     rejected = f"{len(report['points_rejected'])} observations rejected"
-    if report.get("target"):
+    if report.get("views") or report.get("target"):
         return f"points used         {report['points_used']} of {report['points_given']} ({rejected})"
     given, lost = report.get("poses", report["points_given"]), len(report["points_not_seen"])
     return f"poses used          {report['points_used']} of {given} ({lost} spots not found, {rejected})"

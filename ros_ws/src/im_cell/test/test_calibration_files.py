@@ -5,6 +5,7 @@ import shutil
 from copy import deepcopy
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -136,6 +137,13 @@ def test_the_example_of_the_documentation_is_read(tmp_path):
     np.testing.assert_allclose(-pose.R_cam_base.T @ pose.t_cam_base, [-0.886, -0.348, 4.172], atol=1e-9)
 
 
+def test_opencv_reads_the_file_of_a_camera(folder):
+    storage = cv2.FileStorage(str(folder / "ceiling_left.yaml"), cv2.FILE_STORAGE_READ)
+    data = storage.getNode("camera_matrix").getNode("data")
+    assert [data.at(i).real() for i in range(data.size())] == CAMERA.K.ravel().tolist()
+    assert storage.getNode("image_width").real() == CAMERA.width
+
+
 def test_files_of_other_tools_are_read(tmp_path):
     (tmp_path / "wall.yaml").write_text(FOREIGN)
     stamped = extrinsics_yaml(POSES).replace("{frame_id", "{stamp: {sec: 4, nanosec: 2}, frame_id")
@@ -151,20 +159,20 @@ def test_files_of_other_tools_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("file", "old", "new", "sentence"),
     [
-        ("ceiling_left", "width: 640", "width: 1280", ":1: image_width: 1280: ceiling_left takes images of 640 px"),
-        ("ceiling_left", "[611.5", "[.nan", ":7: camera_matrix.data[0]: nan: Input should be a finite number"),
-        ("ceiling_left", "[611.5", "[-6", ":5: camera_matrix: fx is -6 px, it must be within 32 and 64000"),
+        ("ceiling_left", "width: 640", "width: 1280", ":3: image_width: 1280: ceiling_left takes images of 640 px"),
+        ("ceiling_left", "[611.5", "[.nan", ":9: camera_matrix.data[0]: nan: Input should be a finite number"),
+        ("ceiling_left", "[611.5", "[-6", ":7: camera_matrix: fx is -6 px, it must be within 32 and 64000"),
         ("ceiling_left", "[611.5, 0.0", "[611.5, 0.1", "is not [fx 0 cx; 0 fy cy; 0 0 1]"),
-        ("ceiling_left", "[611.5, ", "[", ":5: camera_matrix: 3 x 3 is 9 numbers, data has 8"),
-        ("ceiling_left", "plumb_bob", "omni", ":8: distortion_model: 'omni': Input should be 'plumb_bob', 'rational_p"),
+        ("ceiling_left", "[611.5, ", "[", ":7: camera_matrix: 3 x 3 is 9 numbers, data has 8"),
+        ("ceiling_left", "plumb_bob", "omni", ":10: distortion_model: 'omni': Input should be 'plumb_bob', 'rational"),
         ("ceiling_left", "plumb_bob", "equidistant", "distortion_coefficients: equidistant has 4 coefficients, got 5"),
         ("ceiling_left", "cols: 5", "cols: 8", "distortion_coefficients: 1 x 8 is 8 numbers, data has 5"),
         ("ceiling_left", "  cols: 5\n  data: [-0.2, 0.03", "  cols: 3\n  data: [0.0",
          "distortion_coefficients: 1 x 3 is 3 numbers, data has 4"),
-        ("ceiling_left", "name: ceiling_left", "name: wall", ":3: camera_name: 'wall': the name of the file says c"),
+        ("ceiling_left", "name: ceiling_left", "name: wall", ":5: camera_name: 'wall': the name of the file says c"),
         ("ceiling_left", "distortion_coefficients", "distortion", "distortion_coefficients: Field required"),
         ("ceiling_left", "camera_matrix:", "camera_matrix: [", "not YAML"),
-        ("ceiling_left", "[-0.2", "[1.0e+300", ":10: distortion_coefficients: D = [1e+300, 0.03"),
+        ("ceiling_left", "[-0.2", "[1.0e+300", ":12: distortion_coefficients: D = [1e+300, 0.03"),
         ("ceiling_left", "[-0.2", "[-20.0", "folds the image in its middle half, no lens of model plumb_bob does"),
         ("extrinsics", "translation: {x: ", "translation: {x: 1.0e+300, n: ", "translation.x: 1e+300: Input should be"),
         ("extrinsics", "frame_id: world", "frame_id: base_link", "'base_link': ceiling_left is fixed to world"),

@@ -30,6 +30,7 @@ _FACTORS = np.geomspace(1e-2, 1.0, 41)
 _USUAL = 0.2
 _GAIN = 4.0
 _ROUNDS, _CONVERGED = 4, 0.1
+_NONE, _LEAST = 16.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,11 @@ class Explanation:
 
 
 def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the problem with a usual error of the arm, where the arm's kinematics are given: gates need some size."""
-    if problem.arm_jacobians is None:
+    """Return the problem with a usual error of the arm, where such an error is expected: gates need some size."""
+    if problem.arm_jacobians is None and (problem.placements is None or problem.placements.arm is None):
         return problem
-    return replace(problem, arm_error=_largest(problem).times(_USUAL))
+    whole = _largest(problem)
+    return replace(problem, arm_error=whole.times(np.full(len(whole.sizes), _USUAL)))
 
 
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
@@ -66,24 +68,26 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
-    if problem.placements is not None and problem.arm_jacobians is None:
-        # a target's own place takes up what is alike at neighbours
-        return Explanation(problem, ParameterLayout.of(problem), gated)
+    if problem.placements is not None and problem.arm_jacobians is None and problem.placements.arm is None:
+        return Explanation(problem, ParameterLayout.of(problem), gated)  # a target without a robot
     robot_known = robot_known and problem.arm_jacobians is None
     whole = _largest(problem)
-    factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
+    factors = np.zeros(len(whole.sizes)) if problem.arm_error is None else problem.arm_error.sizes / whole.sizes
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
-        before, factor = factor, _factor(found, whole, robot_known=robot_known)
-        if abs(factor - before) <= _CONVERGED * before:
+        before, factors = factors, _factors(found, whole, robot_known=robot_known)
+        if np.all(abs(factors - before) <= _CONVERGED * before):
             break
-        bent = replace(problem, arm_error=whole.times(factor) if factor else None)
+        bent = replace(problem, arm_error=whole.times(factors) if factors.any() else None)
         layout = ParameterLayout.of(bent)
         unknowns = found.gated.fit.unknowns
-        scaled = unknowns.arm_error * (before / factor) if before and factor else np.zeros(layout.arm)
+        known = before.any() and factors.any()
+        scaled = unknowns.arm_error * (before / factors)[whole.kinds] if known else np.zeros(layout.arm)
         found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
-        if not factor:
+        if not factors.any():
             break
+    if problem.placements is not None:
+        return found
     try:
         if found.problem.arm_error is None or not robot_known or _preferred(found):
             return found
@@ -95,6 +99,8 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
 
 def _largest(problem: CalibrationProblem) -> ArmError:
     """Return the largest error that the arm of a problem may have."""
+    if problem.placements is not None and problem.placements.arm is not None:
+        return problem.placements.arm
     return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
 
 
@@ -107,14 +113,16 @@ def _preferred(found: Explanation) -> bool:
     return bool(without.least() - smooth.least() > _GAIN)
 
 
-def _factor(found: Explanation, whole: ArmError, *, robot_known: bool) -> float:
-    """Factor on the largest error: of greatest likelihood, 0 where none is needed; or the mean of what is possible."""
+def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array:
+    """Return factors on the largest error: of greatest likelihood, 0 where none is needed; or the mean of the rest."""
     problem = replace(found.problem, arm_error=whole)
     layout = ParameterLayout.of(problem)
     unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
-    size = 0.0 if present is None else present.standard_deviation / whole.standard_deviation
-    coefficients = size * unknowns.arm_error if present is not None else np.zeros(layout.arm)
+    sizes = np.zeros(1) if present is None else (present.sizes / whole.sizes)[whole.kinds]
+    coefficients = sizes * unknowns.arm_error if present is not None else np.zeros(layout.arm)
     unknowns = replace(unknowns, arm_error=coefficients)
+    if problem.placements is not None and problem.placements.arm is not None:
+        return _of_readings(NoiseLikelihood(unknowns, problem, layout, found.gated.used, bent=True))
     line = linearise(unknowns, problem, layout, found.gated.used)
     arm, rest = layout.arm_slice, slice(0, layout.size - layout.arm)
     residuals = line.residuals + line.jacobians[:, :, arm] @ coefficients
@@ -142,7 +150,18 @@ def _factor(found: Explanation, whole: ArmError, *, robot_known: bool) -> float:
     if not robot_known:
         possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
         sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
-        return float(np.sqrt((possible * sizes).sum() / possible.sum()))
+        return np.asarray(np.sqrt((possible * sizes).sum(keepdims=True) / possible.sum()))
     if deviance[0] - deviance[best] < _GAIN:
-        return 0.0
-    return float(np.minimum(np.sqrt(t2[best, 0] * noise[best]), 1.0))
+        return np.zeros(1)
+    return np.asarray(np.minimum(np.sqrt(t2[best] * noise[best]), 1.0))
+
+
+def _of_readings(likelihood: NoiseLikelihood) -> Array:
+    """Return factors on shifts and turns of greatest likelihood, with any noise; 0 where noise alone does as well."""
+    noise, none = np.array([True, True, False, False]), np.array([0.0, 0.0, -_NONE, -_NONE])
+    logs, without = likelihood.maximum(none, noise)
+    starts = (np.log([1.0, less, size, size]) * 2.0 for size in (0.03, _USUAL) for less in (1.0, 0.1))
+    logs, least = likelihood.maximum(min(starts, key=likelihood.deviance), np.ones(4, bool))
+    if without - least < _GAIN:
+        return np.zeros(2)
+    return np.clip(np.exp(logs[2:] / 2.0), _LEAST, 1.0)

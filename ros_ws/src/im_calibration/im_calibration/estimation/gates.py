@@ -6,7 +6,6 @@ Where a pose does not fit, one camera's spot is wrong, or the robot's position t
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,15 +79,26 @@ class Agreement:
         """
         self._prediction, self._detected, self._scale = prediction, detected, scale
 
-    def cameras(self, pose: int) -> list[int]:
-        """Return the cameras with usable spots; empty if the wrong camera cannot be identified.
+    def usable(self) -> Mask:
+        """Mark the usable spots, shape (c, n)."""
+        rows = np.repeat(self._detected.T, 2, axis=1)
+        both = rows[:, :, None] & rows[:, None, :]
+        covariances = np.where(both, self._scale * self._prediction.covariances, np.eye(rows.shape[1]))
+        errors = np.where(rows, self._prediction.errors, 0.0)
+        squared = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
+        gates = np.array([0.0, *(_gate(2 * count) for count in range(1, len(self._detected) + 1))])
+        chosen = self._detected & (squared <= gates[self._detected.sum(axis=0)])
+        for pose in np.flatnonzero(self._detected.any(axis=0) & ~chosen.any(axis=0)):
+            chosen[self._cameras(int(pose)), pose] = True
+        return np.asarray(chosen)
+
+    def _cameras(self, pose: int) -> list[int]:
+        """Return the cameras with usable spots where not all are; empty if the wrong camera cannot be identified.
 
         A camera is to blame only if the spots contradict each other wherever the LED was; if they do not, the robot's
         position may be wrong as well, and the whole pose goes.
         """
         seen = np.flatnonzero(self._detected[:, pose])
-        if self._distance(pose, seen) <= _gate(2 * len(seen)):
-            return [int(c) for c in seen]
         contradiction = self._prediction.distance(pose, seen, scale=self._scale, free=True)
         if len(seen) < 2 or contradiction <= _gate(2 * len(seen) - 3):
             return []
@@ -149,22 +159,13 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     """
     line = linearise(fit.unknowns, problem, layout, problem.detected & projectable(fit.unknowns, problem))
     table, width = problem.poses_of_readings, line.residuals.shape[1]
-    there = table >= 0
-
-    def by_reading(each: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(each[table] * there.reshape(*there.shape, *[1] * (each.ndim - 1))).reshape(
-            len(table), -1, *each.shape[2:]
-        )
-
-    shared = layout.shared_slice
+    shared, by_reading = layout.shared_slice, problem.by_reading
     kept = np.r_[0 : shared.start, shared.stop : layout.size]
     residuals = by_reading(line.residuals + line.jacobians[:, :, shared] @ fit.unknowns.shared_errors)
-    rows, all_jacobians = by_reading(np.repeat(used.T, 2, axis=1)), by_reading(line.jacobians[:, :, kept])
+    rows = by_reading(np.repeat(used.T, 2, axis=1).astype(float)) > 0.0
+    all_jacobians = by_reading(line.jacobians[:, :, kept])
     together = by_reading(line.by_point @ problem.shared_roots)
-    covariances = together @ np.swapaxes(together, 1, 2)
-    blocks = [slice(start, start + width) for start in range(0, covariances.shape[1], width)]
-    for poses, block in zip(table.T, blocks, strict=True):
-        covariances[:, block, block] += line.covariances[poses]
+    covariances = together @ np.swapaxes(together, 1, 2) + problem.joined(line.covariances, 1.0)
     both = rows[:, :, None] & rows[:, None, :]
     across = fit.information[kept, shared]
     information = fit.information[np.ix_(kept, kept)]
@@ -179,7 +180,8 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     errors = residuals + (gain @ np.where(rows, residuals, 0.0)[..., None])[..., 0]
     covariances = covariances + spread + gain @ np.swapaxes(from_used, 1, 2)
     own_errors, own_covariances = np.empty_like(line.residuals), np.empty_like(line.covariances)
-    for poses, block in zip(table.T, blocks, strict=True):
+    for number, poses in enumerate(table.T):
+        block = slice(number * width, (number + 1) * width)
         own_errors[poses[poses >= 0]] = errors[poses >= 0, block]
         own_covariances[poses[poses >= 0]] = covariances[poses >= 0, block, block]
     return Prediction(own_errors, own_covariances, line.by_point)
@@ -197,10 +199,7 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayo
         prediction = predict_from_others(fit, problem, layout, used)
         if widen:
             scale = _noise_scale(prediction, used)
-        agreement = Agreement(prediction, detected, scale)
-        chosen = np.zeros_like(used)
-        for pose in np.flatnonzero(detected.any(axis=0)):
-            chosen[agreement.cameras(int(pose)), pose] = True
+        chosen = Agreement(prediction, detected, scale).usable()
         recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
         if recurring:
             chosen &= used  # a spot may only leave: the iteration ends

@@ -30,6 +30,7 @@ _CHANCE = 0.95
 _LIMIT = 2.0 * np.log(1e4)  # of the logarithm of a variance factor
 _STEPS, _CONVERGED, _HALVINGS = 60, 1e-6, 8
 _FAR = 6.0
+_ROUNDING = 1e-12
 _IMAGE, _ROBOT = np.array([True, False]), np.array([False, True])
 _BOTH = np.array([True, True])
 
@@ -81,35 +82,53 @@ class NoiseFactors:
 class NoiseLikelihood:
     """Restricted likelihood of the variance factors, linearised at a fit.
 
+    What the positions of a reading are off together is integrated out, as what each is off by itself.
+
     Args:
         unknowns: The fit.
         problem: The observations.
         layout: Places of the unknowns.
         used: Which spots count, shape (c, n).
+        bent: Whether the variance of each kind of the arm's smooth error is a factor as well, behind those of image and
+            robot; otherwise they are as stated.
     """
 
-    def __init__(self, unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> None:
-        line = linearise(unknowns, problem, layout, used)
-        robot = line.by_point @ problem.own_covariances @ np.swapaxes(line.by_point, 1, 2)
-        lower = np.linalg.cholesky(line.covariances - robot)
-        half = np.linalg.solve(lower, robot)
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        problem: CalibrationProblem,
+        layout: ParameterLayout,
+        used: Mask,
+        *,
+        bent: bool = False,
+    ) -> None:
+        line, shared = linearise(unknowns, problem, layout, used), layout.shared_slice
+        kept = np.r_[0 : shared.start, shared.stop : layout.size]
+        own = line.by_point @ problem.own_covariances @ np.swapaxes(line.by_point, 1, 2)
+        together = problem.by_reading(line.by_point @ problem.shared_roots)
+        lower = np.linalg.cholesky(problem.joined(line.covariances - own, 1.0))
+        half = np.linalg.solve(lower, problem.joined(own, 0.0) + together @ np.swapaxes(together, 1, 2))
         values, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, 1, 2)))
         turned = np.swapaxes(axes, 1, 2)
-        self._robot = np.maximum(values, 0.0).ravel()  # variance by the robot over that by the image, row by row
-        self._unused = 2 * int(used.size - used.sum())
-        self._residuals = (turned @ np.linalg.solve(lower, line.residuals[..., None])).ravel()
-        jacobians = (turned @ np.linalg.solve(lower, line.jacobians)).reshape(len(self._robot), -1)
-        prior, shared = layout.prior(unknowns), layout.shared_slice
-        known, pull = prior.information.copy(), -prior.gradient
-        # an error that a reading's positions share is seen as 0, up to the noise of the robot alone
-        self._image = np.concatenate((np.ones_like(self._robot), np.zeros(layout.shared)))
-        self._robot = np.concatenate((self._robot, np.ones(layout.shared)))
-        self._residuals = np.concatenate((self._residuals, -unknowns.shared_errors))
-        jacobians = np.concatenate((jacobians, np.eye(layout.size)[shared]))
-        known[shared, shared], pull[shared] = 0.0, 0.0
-        self._beside = 0.0
-        jacobians = self._compressed(jacobians)
-        weighted = jacobians / (self._image + self._robot)[:, None]
+        least = _ROUNDING * values[:, -1:] if together.any() else 0.0  # a reading moves many spots in few ways
+        robot = np.where(values > least, values, 0.0).ravel()  # variance over that by the image
+        residuals = problem.by_reading(line.residuals + line.jacobians[:, :, shared] @ unknowns.shared_errors)
+        residuals = (turned @ np.linalg.solve(lower, residuals[..., None])).ravel()
+        jacobians = turned @ np.linalg.solve(lower, problem.by_reading(line.jacobians[:, :, kept]))
+        self._beside, self._unused = 0.0, len(robot) - 2 * int(used.sum())
+        jacobians, residuals, robot = self._compressed(jacobians.reshape(len(robot), -1), residuals, robot)
+        prior = layout.prior(unknowns)
+        known, pull = prior.information[np.ix_(kept, kept)], -prior.gradient[kept]
+        self._parts = np.stack((np.ones_like(robot), robot))
+        if bent and problem.arm_error is not None:  # its coefficients are seen as 0, up to a noise of each kind
+            arm = np.arange(len(kept) - layout.arm, len(kept))
+            known[arm, arm], pull[arm] = 0.0, 0.0
+            jacobians = np.concatenate((jacobians, np.eye(len(kept))[arm]))
+            residuals = np.concatenate((residuals, -unknowns.arm_error))
+            kinds = np.eye(problem.arm_error.kinds.max() + 1)[:, problem.arm_error.kinds]
+            self._parts = scipy.linalg.block_diag(self._parts, kinds)
+        self._residuals = residuals
+        weighted = jacobians / self._parts.sum(axis=0)[:, None]
         scale = 1.0 / np.sqrt(np.maximum((weighted * jacobians).sum(axis=0) + np.diag(known), 1e-300))
         self._jacobians = jacobians * scale
         self._prior = known * scale * scale[:, None]
@@ -117,36 +136,35 @@ class NoiseLikelihood:
         self._scaled = -2.0 * float(np.log(scale).sum())
         self._ridge = 1e-12 * np.eye(len(scale))  # directions that no data determine carry no noise either
 
-    def _compressed(self, jacobians: Array) -> Array:
+    def _compressed(self, jacobians: Array, residuals: Array, robot: Array) -> tuple[Array, Array, Array]:
         """Replace the many rows that the noise of the image alone makes by as many as there are unknowns, and a sum."""
-        alone = (self._robot == 0.0) & (self._image == 1.0)
-        rows, size = jacobians[alone], jacobians.shape[1]
-        if len(rows) <= size:
-            return jacobians
-        seen = rows.any(axis=1)  # of several cameras, few see a point
+        alone, size = robot == 0.0, jacobians.shape[1]
+        seen = alone & jacobians.any(axis=1)  # of several cameras, few see a point
         if seen.sum() <= size:
-            return jacobians
-        q, r = np.linalg.qr(rows[seen])
-        residuals = q.T @ self._residuals[alone][seen]
-        self._beside = float((self._residuals[alone] ** 2).sum() - residuals @ residuals)
-        self._unused -= len(rows) - size
-        self._robot = np.concatenate((np.zeros(size), self._robot[~alone]))
-        self._image = np.concatenate((np.ones(size), self._image[~alone]))
-        self._residuals = np.concatenate((residuals, self._residuals[~alone]))
-        return np.concatenate((r, jacobians[~alone]))
+            return jacobians, residuals, robot
+        q, r = np.linalg.qr(jacobians[seen])
+        within = q.T @ residuals[seen]
+        self._beside = float((residuals[alone] ** 2).sum() - within @ within)
+        self._unused -= int(alone.sum()) - size
+        return (
+            np.concatenate((r, jacobians[~alone])),
+            np.concatenate((within, residuals[~alone])),
+            np.concatenate((np.zeros(size), robot[~alone])),
+        )
 
     @property
     def robot_matters(self) -> bool:
         """Whether there is any stated noise of the robot."""
-        return bool(self._robot.max(initial=0.0) > 0.0)
+        return bool(self._parts[1].max(initial=0.0) > 0.0)
 
     def deviance(self, logs: Array) -> float:
         """Return minus twice the logarithm of the likelihood of variance factors, up to a constant.
 
         Args:
-            logs: Logarithms of the factors on the variances of image and robot, shape (2,).
+            logs: Logarithms of the factors on the variances of image and robot, and of kinds of the arm's error if
+                asked, shape (k,).
         """
-        variances = np.exp(logs[0]) * self._image + np.exp(logs[1]) * self._robot
+        variances = (np.exp(logs)[:, None] * self._parts).sum(axis=0)
         information, pull = self._normal(variances)
         lower = np.linalg.cholesky(information)
         moved = np.linalg.solve(lower, pull)
@@ -155,8 +173,8 @@ class NoiseLikelihood:
         return float(constant + self._scaled + 2.0 * np.log(np.diag(lower)).sum() + quadratic)
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
-        """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""
-        parts = np.stack((np.exp(logs[0]) * self._image, np.exp(logs[1]) * self._robot))
+        """Return the gradient of the deviance, shape (k,), and the expected second derivatives, shape (k, k)."""
+        parts = np.exp(logs)[:, None] * self._parts
         variances = parts.sum(axis=0)
         information, pull = self._normal(variances)
         inverse = np.linalg.inv(information)
@@ -165,9 +183,13 @@ class NoiseLikelihood:
         leverage = ((self._jacobians @ inverse) * self._jacobians).sum(axis=1) / variances
         gradient = (shares * (1.0 - leverage - left**2 / variances)).sum(axis=1)
         gradient[0] -= self._unused + self._beside / np.exp(logs[0])
-        # of the information, the image's part and what it leaves for the robot: no second product over all rows
-        image = (self._jacobians.T * (shares[0] / variances)) @ self._jacobians
-        taken = [inverse @ image, inverse @ (information - self._prior - self._ridge - image)]
+        # of the information, the other parts and what they leave for the robot: no further product over all rows
+        others = []
+        for share in np.delete(shares, 1, axis=0):
+            rows = self._jacobians if share.all() else self._jacobians[share > 0.0]
+            others.append((rows.T * (share / variances)[share > 0.0]) @ rows)
+        robot = information - self._prior - self._ridge - sum(others)
+        taken = [inverse @ other for other in (others[0], robot, *others[1:])]
         expected = (shares * (1.0 - 2.0 * leverage)) @ shares.T
         expected += [[(one * other.T).sum() for other in taken] for one in taken]
         expected[0, 0] -= self._unused
@@ -182,10 +204,10 @@ class NoiseLikelihood:
         """Return the factors of greatest likelihood, with the factors not free left unchanged, and the deviance.
 
         Args:
-            logs: Where to begin, shape (2,).
-            free: Which to move, shape (2,).
+            logs: Where to begin, shape (k,).
+            free: Which to move, shape (k,).
         """
-        return self._descend(logs, np.eye(2)[free])
+        return self._descend(logs, np.eye(len(logs))[free])
 
     def least(self) -> float:
         """Return the deviance of the factors of greatest likelihood."""
@@ -197,7 +219,7 @@ class NoiseLikelihood:
         return self._descend(logs, np.ones((1, 2)))
 
     def _descend(self, logs: Array, directions: Array) -> tuple[Array, float]:
-        """Fisher scoring along some directions, shape (m, 2)."""
+        """Fisher scoring along some directions, shape (m, k)."""
         least = self.deviance(logs)
         for _ in range(_STEPS):
             gradient, expected = self.slope(logs)

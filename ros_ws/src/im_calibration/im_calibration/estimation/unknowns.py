@@ -174,19 +174,21 @@ class ParameterLayout:
     def prior(self, unknowns: "Unknowns") -> Prior:
         """Return the prior at a value of the unknowns; the prior of lens terms is on the effect, thus also on fx."""
         deviation, precision = unknowns.prior_vector(self), self.prior_precision.copy()
-        slopes = np.zeros((self.size, self.size))  # of the whitened deviation by fx, less that by the term itself
+        cameras = slice(0, self.cameras_size)
+        slopes = np.zeros((self.cameras_size,) * 2)  # of the whitened deviation by fx, less that by the term itself
         for c, term, power, reach in self._reaching(unknowns):
             precision[term] *= reach ** (2 * power)
             slopes[term, self.camera_slice(c).start] = -power * deviation[term] / float(unknowns.intrinsics[c, 0])
-        jacobian = slopes * np.sqrt(precision)[:, None]
-        cross = slopes * precision[:, None]
-        information = np.diag(precision) + cross + cross.T + jacobian.T @ jacobian
-        gradient = -precision * deviation - cross.T @ deviation
+        jacobian = slopes * np.sqrt(precision)[cameras, None]
+        cross = slopes * precision[cameras, None]
+        information, gradient = np.diag(precision), -precision * deviation
+        information[cameras, cameras] += cross + cross.T + jacobian.T @ jacobian
+        gradient[cameras] -= cross.T @ deviation[cameras]
         chi2, stated = _chi2(deviation, precision), self.stated_precision
         lens_chi2 = chi2 - float(deviation @ (stated * deviation))
         lens_information = information - np.diag(stated)
         if self.given is not None:
-            cameras, off = slice(0, self.cameras_size), self._from_given(unknowns)
+            off = self._from_given(unknowns)
             information[cameras, cameras] += self.given[1]
             gradient[cameras] -= self.given[1] @ off
             chi2 += float(off @ self.given[1] @ off)

@@ -71,7 +71,10 @@ def lens_faults(
     """
     patterns = [min(_patterns(gated, problem, layout, c, max(1.0, noise))) for c in range(layout.cameras)]
     explained = _explains(gated, problem)
-    suspects = [c for c, (chance, _) in enumerate(patterns) if chance < _SUSPICIOUS or not explained]
+    given = problem.given_intrinsics or (None,) * layout.cameras  # of one lens model, whatever another would do
+    suspects = [
+        c for c, (chance, _) in enumerate(patterns) if (chance < _SUSPICIOUS or not explained) and given[c] is None
+    ]
     faults = [LensFault(c, problem.lens_models[c], against, chance) for c, (chance, against) in enumerate(patterns)]
     better = _with_better([faults[c] for c in suspects], gated, problem, layout) if suspects else ()
     if better and (explained or better[0].explains):

@@ -83,7 +83,7 @@ def noise_of(problem: CalibrationProblem, used: Mask, factors: NoiseFactors, sca
     if roots is None:
         positions = np.trace(problem.position_covariances[counts], axis1=1, axis2=2) / 3.0
     else:  # what the link's turn does to a point grows with its distance: no arm is judged by that
-        positions = (roots[counts, :, 3:] ** 2).sum(axis=(1, 2)) / 3.0
+        positions = (roots[counts, :, :3] ** 2).sum(axis=(1, 2)) / 3.0
     image_px, robot_m = (float(np.sqrt(variances.mean())) for variances in (spots, positions))
     return Noise(factors, scale, problem.noise_to_estimate, image_px, robot_m)
 

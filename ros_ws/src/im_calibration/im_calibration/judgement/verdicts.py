@@ -289,8 +289,9 @@ def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
 
 def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
     """Report a smooth error as large as that of no arm; empty if it is smaller."""
-    largest = _NEAR_LARGEST * ArmError.largest(problem.positions, problem.wrist_rotations).standard_deviation
-    if calibration.arm_error_m < min(largest, _LARGEST_ERROR_M):
+    largest = problem.placements and problem.placements.arm
+    largest = largest or ArmError.largest(problem.positions, problem.wrist_rotations)
+    if calibration.arm_error_m < min(_NEAR_LARGEST * largest.standard_deviation, _LARGEST_ERROR_M):
         return ""
     return (
         f"The positions are off by {1e3 * calibration.arm_error_m:.1f} mm or more, neighbouring ones alike, which is "

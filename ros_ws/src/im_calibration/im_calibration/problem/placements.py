@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from im_calibration.problem.arm_error import ArmError
 from im_cell.rotations import cross_matrix
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ class Placements:
         rotations: Rotations G from the frame of the target's rest to the world, shape (n, 3, 3).
         points: Points q, shape (n, 3) [m].
         places: Places of the targets by the positions, in their frames of rest, shape (m, 4, 4) [-], [m].
+        arm: Largest smooth error of the readings of a robot of which the kinematics are not given; None: there is none.
         roots: Derivatives of the positions by six errors of unit variance of a reading of the robot, shape (n, 3, 6)
             [m]; None: no robot.
         held: Where the first camera is, whose axes are the world's, shape (3,) [m]; None: the robot's frame is the
@@ -46,6 +48,7 @@ class Placements:
     rotations: Array
     points: Array
     places: Array
+    arm: ArmError | None = None
     roots: Array | None = None
     held: Array | None = None
     camera_moves: bool = False
@@ -77,4 +80,6 @@ class Placements:
     def taking(self, poses: NDArray[np.intp]) -> "Placements":
         """Return the same of some positions."""
         roots = None if self.roots is None else self.roots[poses]
-        return replace(self, of=self.of[poses], rotations=self.rotations[poses], points=self.points[poses], roots=roots)
+        arm = self.arm and self.arm.taking(poses)
+        rotations, points = self.rotations[poses], self.points[poses]
+        return replace(self, of=self.of[poses], rotations=rotations, points=points, arm=arm, roots=roots)

@@ -245,6 +245,26 @@ class CalibrationProblem:
         table[np.arange(counts.max()) < counts[:, None]] = order
         return table
 
+    def by_reading(self, each: Array) -> Array:
+        """Put rows of the poses of each reading in a row, zeros last, shape (n, w, ...) -> (r, most w, ...)."""
+        table = self.poses_of_readings
+        there = (table >= 0).reshape(*table.shape, *[1] * (each.ndim - 1))
+        return np.asarray(each[table] * there).reshape(len(table), -1, *each.shape[2:])
+
+    def joined(self, blocks: Array, rest: float) -> Array:
+        """Put matrices of the poses of each reading on one diagonal, shape (n, w, w) -> (r, most w, most w).
+
+        Args:
+            blocks: The matrices.
+            rest: Elements of the diagonal behind them.
+        """
+        table, width = self.poses_of_readings, blocks.shape[1]
+        joined = np.tile(rest * np.eye(table.shape[1] * width), (len(table), 1, 1))
+        for number, poses in enumerate(table.T):
+            rows = slice(number * width, (number + 1) * width)
+            joined[poses >= 0, rows, rows] = blocks[poses[poses >= 0]]
+        return joined
+
     @cached_property
     def shared_roots(self) -> Array:
         """Roots of the covariances of positions with a reading of several poses, 0 of the others, shape (n, 3, 3) [m].

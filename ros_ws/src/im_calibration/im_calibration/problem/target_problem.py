@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PlainValidator, StrictBool, model_validator
 
+from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.fields import Lists, Names, positive
 from im_calibration.problem.placements import GivenIntrinsics, Placements
 from im_calibration.problem.problem import CalibrationProblem
@@ -133,7 +134,12 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
     places, frames = placed.places[k if robot is None else of], placed.world[k]
     points = (places[:, :3, :3] @ views.points[p][..., None])[..., 0] + places[:, :3, 3]
     positions = (frames[:, :3, :3] @ points[..., None])[..., 0] + frames[:, :3, 3]
-    roots = None if robot is None else _roots(robot, k, frames, points)
+    roots = arm_jacobians = arm = None
+    if robot is not None:
+        levers = _levers(robot, frames, points)
+        roots = _roots(robot, k, levers)
+        arm_jacobians = None if robot.arm is None else levers @ robot.arm[k]
+        arm = ArmError.of_readings(robot.poses, k, levers) if robot.arm is None else None
     deviations = np.where(np.isfinite(views.deviations), views.deviations, np.nanmedian(views.deviations))
     n = len(k)
     low, high = np.quantile(positions, (0.03, 0.97), axis=0)
@@ -145,7 +151,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         positions=positions,
         position_covariances=np.zeros((n, 3, 3)) if roots is None else roots @ np.swapaxes(roots, 1, 2),
         wrist_rotations=np.tile(np.eye(3), (n, 1, 1)),
-        arm_jacobians=None if robot is None or robot.arm is None else _levers(frames, points) @ robot.arm[k],
+        arm_jacobians=arm_jacobians,
         spots=views.spots[:, k, p],
         spot_covariances=deviations[:, k, p][..., None, None] ** 2 * np.eye(2),
         pose_names=tuple(f"{views.names[view]} point {point}" for view, point in zip(k, p, strict=True)),
@@ -158,6 +164,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
             frames[:, :3, :3],
             points,
             placed.places[np.unique(k)] if robot is None else placed.places,
+            arm,
             roots,
             np.zeros(3) if robot is None else None,
             robot is not None and robot.camera_moves,
@@ -166,31 +173,33 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
     )
 
 
-def _roots(robot: RobotPoses, of: NDArray[np.intp], frames: Array, points: Array) -> Array:
-    """Return derivatives of points by errors of a reading, of the wrist in the base, shape (n, 3, 6) [m].
+def _roots(robot: RobotPoses, of: NDArray[np.intp], levers: Array) -> Array:
+    """Return derivatives of points by six errors of unit variance of a reading, shape (n, 3, 6) [m].
 
     Args:
         robot: The readings.
         of: Which reading each point is of, shape (n,).
+        levers: Derivatives of the points by a shift and a turn of the link, shape (n, 3, 6) [-], [m].
+    """
+    if robot.covariances is None:
+        return np.asarray(levers * np.repeat([robot.sd_m, robot.sd_rad], 3))
+    values, axes = np.linalg.eigh(robot.covariances)
+    return np.asarray(levers @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of, :, ::-1])
+
+
+def _levers(robot: RobotPoses, frames: Array, points: Array) -> Array:
+    """Return derivatives of points in the world by a shift and a turn of the link in the base, shape (n, 3, 6).
+
+    Args:
+        robot: Whether the target or the cameras are on the link.
         frames: Poses in which the target rests, shape (n, 4, 4).
         points: Points there, shape (n, 3) [m].
     """
-    if robot.covariances is not None:
-        values, axes = np.linalg.eigh(robot.covariances)
-        return np.asarray(_levers(frames, points) @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of])
-    turn, shift = robot.sd_rad * np.eye(3), robot.sd_m * np.eye(3)
-    if robot.camera_moves:
-        # X = F q with F the inverse of the wrist's pose: a small turn w and shift s of the wrist, in its own axes,
-        # move X by -(w x X) - s
-        world = (frames[:, :3, :3] @ points[..., None])[..., 0] + frames[:, :3, 3]
-        return np.concatenate((cross_matrix(world) @ turn, np.tile(-shift, (len(points), 1, 1))), axis=2)
-    levers = _levers(frames, points)
-    return np.concatenate((levers[..., 3:] @ turn, levers[..., :3] @ shift), axis=2)
-
-
-def _levers(frames: Array, points: Array) -> Array:
-    """Return derivatives of points by a shift and a turn of the link that carries them, shape (n, 3, 6) [-], [m]."""
-    arms = (frames[:, :3, :3] @ points[..., None])[..., 0]
+    turns = frames[:, :3, :3]
+    if robot.camera_moves:  # the world is the link, which leaves points at rest in the base
+        link = -(np.swapaxes(turns, 1, 2) @ frames[:, :3, 3:])[..., 0]
+        return np.concatenate((-turns, turns @ cross_matrix(points - link)), axis=2)
+    arms = (turns @ points[..., None])[..., 0]
     return np.concatenate((np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(arms)), axis=2)
 
 

@@ -60,6 +60,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         "scale": None if calibration.scale is None else _plain(calibration.scale),
         "noise": _noise(calibration.noise),
         "arm_error_m": calibration.arm_error_m,
+        "views": calibration.views,
         "target": None if calibration.target is None else _target(calibration.target),
         "neighbours": _plain(calibration.neighbours),
         "checks": _plain(calibration.checks),

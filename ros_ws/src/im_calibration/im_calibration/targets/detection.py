@@ -8,6 +8,7 @@ sub-pixel detector for x-corners in camera calibration targets" (2005), who fit 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FEW_MARKERS, _MOST_MARKERS = 3, 100
+_FEWEST_SIDE = 3
 _MANY, _REWEIGHTINGS, _DETECTED_PX = 24, 6, 4.0
 _SHARE_OF_SQUARE, _LEAST_HALF, _LARGEST_HALF = 0.42, 3, 9
 _FIT_STEPS, _MOST_MOVED_PX, _CONTRAST = 8, 1.5, 4.0
@@ -56,7 +58,7 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
         target: The target.
 
     Returns:
-        Its points; None: it was not found, or with fewer than 8 points.
+        Its points; None: it was not found, or with fewer than 8 points, or as a part of a larger chessboard.
 
     Raises:
         DataError: The image is no grey image.
@@ -87,10 +89,11 @@ def _eight_bits(image: Image) -> NDArray[np.uint8]:
 
 def _chessboard(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
     size = (target.columns, target.rows)
-    found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
+    corners, sides = _at_least(grey, size)
+    if sides is None:
         found, corners = cv2.findChessboardCorners(grey, size)
-    if not found:
+        sides = size if found else None
+    if sides is None or sorted(sides) != sorted(size):
         return None
     flat = corners.reshape(-1, 2)
     apart = float(np.linalg.norm(np.diff(flat.reshape(target.rows, target.columns, 2), axis=1), axis=2).min())
@@ -98,6 +101,23 @@ def _chessboard(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | N
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     better = cv2.cornerSubPix(grey, np.ascontiguousarray(corners, dtype=np.float32), (half, half), (-1, -1), stop)
     return np.asarray(better, dtype=np.float64).reshape(-1, 2)
+
+
+def _at_least(grey: NDArray[np.uint8], size: tuple[int, int]) -> tuple[Any, tuple[int, int] | None]:
+    """Return the corners of a chessboard of at least a size, and their columns and rows; None: there is no such board.
+
+    Of a larger board OpenCV would find any rows and columns, as each second one.
+    """
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, corners, marks = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
+    return corners, (marks.shape[1], marks.shape[0]) if found else None
+
+
+def chessboard_in(image: Image) -> tuple[int, int] | None:
+    """Return columns and rows of the inner corners of a chessboard in a grey image, the longer side first, if any."""
+    grey = np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else _eight_bits(image)
+    _, sides = _at_least(grey, (_FEWEST_SIDE, _FEWEST_SIDE))
+    return sides and (max(sides), min(sides))
 
 
 def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:

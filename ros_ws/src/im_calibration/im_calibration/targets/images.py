@@ -1,5 +1,6 @@
 """Images of a folder or a recording, and the views of a target in the images."""
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from im_calibration.recorded.image_message import Image
 from im_calibration.recorded.recordings import ImageRecording
-from im_calibration.targets.detection import detect, markers_in
+from im_calibration.targets.detection import chessboard_in, detect, markers_in
 from im_calibration.targets.recorded_views import Motion, views_at_rest, views_in_motion
 from im_calibration.targets.target import CalibrationTarget
 from im_calibration.targets.views import ShownViews
@@ -181,7 +182,7 @@ def _images(folder: Path) -> list[Path]:
 
 def _advice(tried: list[Image], target: CalibrationTarget) -> str:
     """Return advice, after a trial of the sizes for which such targets are mistaken."""
-    for other, meaning in _mistaken(target):
+    for other, meaning in _mistaken(target, tried):
         found = sum(detect(image, other) is not None for image in tried)
         if found > len(tried) // 2:
             return f"As {other} it is found in {found} of {len(tried)}: {meaning}."
@@ -192,14 +193,15 @@ def _advice(tried: list[Image], target: CalibrationTarget) -> str:
     return "Check its rows, columns and dictionary, that it is whole, flat and sharp, with a bright rim around it."
 
 
-def _mistaken(target: CalibrationTarget) -> Iterator[tuple[CalibrationTarget, str]]:
-    """Yield targets often taken for a target, with the mistake."""
+def _mistaken(target: CalibrationTarget, tried: list[Image]) -> Iterator[tuple[CalibrationTarget, str]]:
+    """Yield targets often taken for a target, and the chessboard that images show, with the mistake."""
     columns, rows = target.columns, target.rows
     sizes = [(rows, columns, "rows and columns are exchanged")]
     if target.kind == "chessboard":
-        sizes.append((columns - 1, rows - 1, "count its inner corners, not its squares"))
-        ones = ((-1, 0), (1, 0), (0, -1), (0, 1))
-        sizes += [(columns + x, rows + y, "count its inner corners again") for x, y in ones]
+        for sides, _ in Counter(filter(None, map(chessboard_in, tried))).most_common(1):
+            seen = sides if columns >= rows else sides[::-1]
+            again = "count its inner corners" + (", not its squares" if seen == (columns - 1, rows - 1) else " again")
+            sizes.append((*seen, again))
     elif target.kind == "charuco":
         sizes.append((columns + 1, rows + 1, "count its squares, not its inner corners"))
     for other_columns, other_rows, meaning in sizes:

@@ -192,7 +192,7 @@ def plain_yaml(text: str) -> str:
 
 
 def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None = None) -> str:
-    """The file of a camera.
+    """The file of a camera, with the first line without which OpenCV's ``FileStorage`` takes it for no YAML.
 
     Args:
         name: Name of the camera.
@@ -203,7 +203,7 @@ def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None 
         Text of the file.
 
     >>> camera_info_yaml("wall", camera).splitlines()[:3]
-    ['image_width: 640', 'image_height: 480', 'camera_name: wall']
+    ['%YAML 1.1', '---', 'image_width: 640']
     """
     rectified = rectified or monocular(model)
     content: dict[str, Any] = {
@@ -216,7 +216,7 @@ def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None 
         "rectification_matrix": _matrix(rectified.R),
         "projection_matrix": _matrix(rectified.P),
     }
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, version=(1, 1))
 
 
 def _matrix(values: Array) -> dict[str, Any]:
