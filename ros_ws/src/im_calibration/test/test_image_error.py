@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -43,7 +44,8 @@ def test_a_rim_without_spots_is_said_in_message_report_and_file(in_a_box, tmp_pa
     assert f"camera_0: {image.told}." in calibration.message
     write_results(tmp_path, calibration, scene.problem)
     text = (tmp_path / "camera_0.yaml").read_text()
-    assert text.startswith(f"# {image.told}\nimage_width: 640")
+    assert text.startswith(f"%YAML 1.1\n---\n# {image.told}\nimage_width: 640")
+    assert cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY).getNode("image_width").real() == 640
     assert yaml.safe_load(text)["camera_name"] == "camera_0"
     told = json.loads((tmp_path / "report.json").read_text())["cameras"][0]["image_error"]
     left, right, top, bottom = told["holds_within_u_u_v_v_px"]

@@ -70,8 +70,8 @@ def write_results(
     cameras: dict[str, str] = {}
     if calibration.usable:
         for camera, image in zip(calibration.cameras, calibration.images, strict=True):
-            comment = f"# {image.told}\n" if image.told else ""
-            cameras[f"{camera.name}.yaml"] = comment + _camera_file(camera, rectified)
+            comment = f"---\n# {image.told}\n" if image.told else "---\n"  # before the header OpenCV reads no file
+            cameras[f"{camera.name}.yaml"] = _camera_file(camera, rectified).replace("---\n", comment, 1)
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
         cameras[EXTRINSICS] = extrinsics_yaml(poses or in_world)
         cameras[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance)
