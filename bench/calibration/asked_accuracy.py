@@ -40,13 +40,13 @@ def asked_accuracy(seed: int, accuracy_m: float) -> Reached:
         for pose in dict.fromkeys(visits):
             seconds += float(seconds_to(file, here)[pose - 1])
             here = np.array(file.poses[pose - 1].joints)
-            observed[pose] = [_seen(rng, file, pose, look, truth, offset) for look in range(visits.count(pose))]
-    seen = [each for looks in observed.values() for each in looks]
-    problem = problem_of_light(CAMERAS, seen)
+            observed[pose] = [seen(rng, file, pose, look, truth, offset) for look in range(visits.count(pose))]
+    everything = [each for looks in observed.values() for each in looks]
+    problem = problem_of_light(CAMERAS, everything)
     calibration = calibrate(problem)
     error = evaluate([camera.model for camera in calibration.cameras], truth, problem.workspace.grid())
     expected = calibration.expected.triangulation_rms_mm
-    return Reached(len(observed), len(seen), seconds, expected, error.triangulation_rms_mm)
+    return Reached(len(observed), len(everything), seconds, expected, error.triangulation_rms_mm)
 
 
 def _drawn(rng: np.random.Generator, camera: CameraModel) -> CameraModel:
@@ -57,9 +57,10 @@ def _drawn(rng: np.random.Generator, camera: CameraModel) -> CameraModel:
     return replace(camera, K=K, D=D, R_cam_base=turn, t_cam_base=camera.t_cam_base + rng.normal(0.0, 0.01, 3))
 
 
-def _seen(
+def seen(
     rng: np.random.Generator, file: PosesFile, number: int, look: int, truth: list[CameraModel], offset: np.ndarray
 ) -> Observation:
+    """What cameras see of the light at a pose, by its number from 1, with noise of spots and positions."""
     pose = file.poses[number - 1]
     rotation, position = matrix_of_quaternion(pose.orientation_xyzw), np.array(pose.position_m)
     light = (position + rotation @ offset)[None]

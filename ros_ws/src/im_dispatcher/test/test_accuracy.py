@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from bench.calibration.asked_accuracy import CAMERAS, asked_accuracy
+from bench.calibration.asked_accuracy import CAMERAS, asked_accuracy, seen
+from im_calibration import calibrate
+from im_cell.camera_model import nominal
 from im_cell.robot import load_cell
 from im_core.errors import DataError
 from im_dispatcher.accuracy import FIRST_POSES, LOOKS, accuracy_reached, next_visits, seconds_to
-from im_dispatcher.job import order_of
+from im_dispatcher.job import order_of, problem_of_light
 from im_dispatcher.poses_file import load_named_poses
 
 OWN = load_named_poses("")
@@ -25,6 +27,15 @@ def test_the_accuracy_is_reached_in_half_of_the_time_of_all_poses_and_is_true(se
     assert reached.true_mm < 1.5 * reached.expected_mm
     assert reached.seconds < 0.5 * ALL_S
     assert reached.looks == LOOKS * reached.poses
+
+
+def test_the_own_poses_of_the_cell_leave_no_rim_of_the_images_unknown() -> None:
+    cell, rng = load_cell(), np.random.default_rng(0)
+    cameras, offset = [nominal(cell.cameras[name]) for name in CAMERAS], np.array(cell.led.offset)
+    observed = [seen(rng, OWN, number, 0, cameras, offset) for number in range(1, len(OWN.poses) + 1)]
+    calibration = calibrate(problem_of_light(CAMERAS, observed))
+    assert calibration.success
+    assert [image.told for image in calibration.images] == ["", ""]
 
 
 def test_the_first_visits_are_as_many_as_a_calibration_needs_and_no_pose_comes_twice() -> None:
