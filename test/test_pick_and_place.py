@@ -193,7 +193,7 @@ def test_two_parts_are_moved_at_once_also_close_to_each_other(both_at_home):
     ]
     for ended in both(*down):
         require(ended)
-    # Whether an arm is stopped before the other depends on who is faster; a part slips in its jaws by some millimetres then.
+    # Whether an arm is stopped before the other depends on who is faster. Then its part slips by some millimetres.
     assert truth(both_at_home)[BLOCK][:3] == pytest.approx([*to["left"], BLOCK_AT[2]], abs=15e-3)
     assert truth(both_at_home)[CAN][:3] == pytest.approx([*to["right"], CAN_AT[2]], abs=15e-3)
 
