@@ -96,7 +96,9 @@ class StrategyStore(StrategyBook):
                 raise
             return False
         except NetError as error:
-            aside = self._path.with_name(f"{self._path.name}.damaged-{round(1000 * clock.wall())}")
+            moment_ms = round(1000 * clock.wall())
+            while (aside := self._path.with_name(f"{self._path.name}.damaged-{moment_ms}")).exists():
+                moment_ms += 1
             move(self._path, aside)
             self._tell(f"{error.message}; it is moved to {aside.name}, and its strategies are learned anew")
             return False
