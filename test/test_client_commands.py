@@ -4,6 +4,8 @@ import json
 import os
 import queue
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -224,6 +226,25 @@ def test_an_interrupt_cancels_and_a_second_one_leaves_the_command_alone(machine,
         command.wait()
     assert command.cancelling
     assert not command.ended
+
+
+def test_im_run_ends_in_words_however_often_it_is_interrupted(ros, wait_until):
+    """Ctrl-C in a terminal reaches a script and its client, and the script passes it on: all of it comes twice."""
+    ros(node := Dying())
+    argv = [sys.executable, "-m", "im_bringup.ros.run_command", "--attach", str(node.numbers[0])]
+    with subprocess.Popen(argv, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: node.begun, "the command")
+        for _ in range(3000):
+            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGTERM)
+            time.sleep(0.01)
+            if process.poll() is not None:
+                break
+        process.kill()
+        said = process.communicate(timeout=30.0)[1]
+    assert process.returncode == 130, said
+    assert "no longer waiting; the machine goes on" in said
+    assert "Traceback" not in said, said
 
 
 def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(machine, monkeypatch):

@@ -36,6 +36,34 @@ except KeyboardInterrupt:
     assert said(code) == ["interrupted"]
 
 
+def test_a_command_that_goes_on_after_an_interruption_may_be_interrupted_once_more():
+    code = """
+for _ in range(2):
+    interrupt_once()
+    try:
+        send("SIGINT")
+        print("goes-on")
+    except KeyboardInterrupt:
+        send("SIGINT", "SIGTERM")
+        print("interrupted")
+"""
+    assert said(code) == ["interrupted", "interrupted"]
+
+
+def test_signals_that_come_together_interrupt_once():
+    code = """
+interrupt_once()
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+send("SIGINT", "SIGTERM", "SIGHUP")
+try:
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    print("goes-on")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    assert said(code) == ["interrupted"]
+
+
 @pytest.mark.parametrize("names", ["'SIGTERM'", "'SIGHUP', 'SIGINT'"])
 def test_what_begins_while_interrupts_are_held_is_there_before_one_comes(names):
     code = f"""

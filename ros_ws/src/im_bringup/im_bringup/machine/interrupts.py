@@ -14,8 +14,9 @@ def interrupt_once() -> None:
 
     Ctrl-C in a terminal reaches a script and its child, and the script passes it on: without this the second one
     would cut the cleaning up short. It also works where a shell started the command in the background, which ignores
-    SIGINT.
+    SIGINT. A second call lets one more signal interrupt; the signals before that call stay ignored.
     """
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, END_SIGNALS)
     handle_end_signals(_raise)
 
 
@@ -42,6 +43,7 @@ def ignore_interrupts() -> None:
     """Ignore interrupts until the end of the command; for commands of at most a few seconds."""
     for number in END_SIGNALS:
         signal.signal(number, no_action)  # not yet SIG_IGN: Python complains of a signal that came just before
+    signal.raise_signal(signal.SIGINT)  # in a handler: has Python call those of signals that came together with its own
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
     for number in END_SIGNALS:  # handlers are gone while the interpreter ends, and threads of libraries block nothing
         signal.signal(number, signal.SIG_IGN)

@@ -8,7 +8,6 @@ import contextlib
 import json
 import re
 import select
-import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
+from im_bringup.machine.interrupts import ignore_interrupts, interrupt_once
 from im_bringup.ros.client_output import (
     DONE,
     FAILED,
@@ -33,7 +33,6 @@ from im_core.files import FileError, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
-from im_core.processes.end_signals import handle_end_signals
 from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Status
@@ -108,7 +107,7 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
 
     def connect() -> int:
         with own_output():
-            handle_end_signals(signal.default_int_handler)
+            interrupt_once()
             watch = why_lost if machine_state.recorded() else None
             try:
                 machine = Machine.connect(timeout=LOOKED_FOR_S, watch=watch)
@@ -116,7 +115,10 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
                 complain(f"{who}: {error.message}")
                 return NOT_RUNNING
             with contextlib.closing(machine):
-                return use(machine)
+                try:
+                    return use(machine)
+                finally:
+                    ignore_interrupts()
 
     return exit_code(connect, who, goes_on)
 
@@ -209,6 +211,7 @@ def follow(command: Command, as_json: bool) -> None:
                 raise
             print("im run: cancelling the command; interrupt again to leave it alone", file=sys.stderr)
             command.cancel()
+            interrupt_once()
 
 
 def handed_over(arguments: Mapping[str, object]) -> dict[str, object]:
