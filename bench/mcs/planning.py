@@ -53,7 +53,7 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
             q[index], goal = _blocked(space, random)
             began = clock.cpu()
             try:
-                path = find_path(FreeSpace(model, lower, upper, clearance, q, index, around), q[index], goal, number)
+                path = find_path(FreeSpace(model, lower, upper, clearance, q, index, around), q[index], [goal], number)
             except ImError:
                 seconds.append(np.inf)
                 continue

@@ -13,6 +13,8 @@ import numpy as np
 
 from im_cell.robot import Cell, load_cell
 from im_coordinators.free_path import FreeSpace, find_path
+from im_coordinators.tool import ANY_TILT
+from im_coordinators.upright import Upright
 from im_core import names
 from im_core.errors import ImError
 from im_core.processes.process import ChildProcess
@@ -21,35 +23,37 @@ from im_mcs.model import CellModel
 
 #: How long a search may take before it is ended [s]: far longer than its most checks take.
 PATIENCE_S = 60.0
-#: Exit codes: a path, no path, an error.
-FOUND, BLOCKED, WRONG = 0, 1, 2
+#: Exit codes: a path, an error.
+FOUND, REFUSED = 0, 1
 
 
 def search_apart(question: Mapping[str, object]) -> list[list[float]]:
     """Search in a child process; blocks until it ends.
 
     Args:
-        question: JSON data: ``joints``, names of those that move; ``positions``, of all joints by name; ``goal``, of
-            those that move; their limits ``lower`` and ``upper``; ``clearance``; ``things``, as MCS tells them;
-            ``contacts``, pairs of names that may touch; ``seed``.
+        question: JSON data: ``joints``, names of those that move; ``positions``, of all joints by name; ``goals``, of
+            those that move, any of them will do; their limits ``lower`` and ``upper``; ``clearance``; ``things``, as
+            MCS tells them; ``contacts``, pairs of names that may touch; ``tilt`` of the ``wrist`` that is allowed [rad],
+            :data:`ANY_TILT` for any; ``seed``.
 
     Returns:
         Points behind the start, the last one is the goal.
 
     Raises:
-        ImError: No path was found (code ``collision``), or the search failed (code ``planning``).
+        ImError: No path was found (code ``collision``), the tool leans too far (code ``limit``), or the search failed
+            (code ``planning``).
     """
     log = names.run_dir() / "path_search.log"
     child = ChildProcess.of_module("im_coordinators.path_search", log=log, stdin=json.dumps(question))
     if not child.await_end(PATIENCE_S):
         child.stop()
         raise ImError(f"the search of a path did not end within {PATIENCE_S:g} s", code="planning")
-    code, words = child.poll(), child.last_words()
-    if code == BLOCKED:
-        raise ImError(words, code="collision")
-    if code != FOUND:
+    if (code := child.poll()) not in (FOUND, REFUSED):
         raise ImError(f"the search of a path failed: {child.obituary()}", code="planning")
-    points: list[list[float]] = json.loads(log.read_bytes().splitlines()[-1])
+    answer: Any = json.loads(log.read_bytes().splitlines()[-1])
+    if code == REFUSED:
+        raise ImError(answer["message"], code=answer["code"])
+    points: list[list[float]] = answer
     return points
 
 
@@ -57,7 +61,7 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
     """Search; question and answer as of :func:`search_apart`.
 
     Raises:
-        ImError: No path was found (code ``collision``).
+        ImError: No path was found (code ``collision``), or the tool leans too far (code ``limit``).
     """
     model = CellModel(cell)
     index = np.array([model.index(joint) for joint in question["joints"]], dtype=np.intp)
@@ -67,8 +71,10 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
         tuple(AllowedContact(first=first, second=second, until_ns=0) for first, second in question["contacts"]),
     )
     lower, upper = np.array(question["lower"]), np.array(question["upper"])
-    space = FreeSpace(model, lower, upper, question["clearance"], q_all, index, around)
-    found = find_path(space, q_all[index], np.array(question["goal"]), question["seed"])
+    tilt = question["tilt"]
+    upright = None if tilt >= ANY_TILT else Upright(model, question["wrist"], tilt, q_all)
+    space = FreeSpace(model, lower, upper, question["clearance"], q_all, index, around, upright)
+    found = find_path(space, q_all[index], np.array(question["goals"]), question["seed"])
     return [[float(value) for value in point] for point in found.points]
 
 
@@ -76,16 +82,14 @@ def main(_: Sequence[str] | None = None) -> int:
     """Answer the question on standard input.
 
     Returns:
-        Exit code: :data:`FOUND`, :data:`BLOCKED` or :data:`WRONG`.
+        Exit code: :data:`FOUND` or :data:`REFUSED`.
     """
+    answer: object
     try:
-        answer = json.dumps(search(load_cell(), json.load(sys.stdin)))
+        answer, code = search(load_cell(), json.load(sys.stdin)), FOUND
     except ImError as error:
-        answer = error.message
-        code = BLOCKED if error.code == "collision" else WRONG
-    else:
-        code = FOUND
-    print(answer, flush=True)
+        answer, code = {"message": error.message, "code": error.code}, REFUSED
+    print(json.dumps(answer), flush=True)
     return code
 
 

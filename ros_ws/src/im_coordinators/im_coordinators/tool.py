@@ -12,8 +12,13 @@ from im_core.errors import DataError, ImError
 
 Array = NDArray[np.float64]
 
-#: Arguments of a request that say more of a ``position``.
-DETAILS = {"orientation": [], "frame": "world"}
+#: Tilt without a limit [rad].
+ANY_TILT = 3.1416
+#: Arguments of a request that say more of a ``position``, and those that a path must be planned for.
+DETAILS = {"orientation": [], "frame": "world", "region": [], "yaw": 0.0}
+PLANNED = {"region": [], "yaw": 0.0, "tilt": ANY_TILT}
+#: Places of a region that are drawn, beside the nearest one and the middle.
+_DRAWN = 6
 
 
 @dataclass(frozen=True)
@@ -48,27 +53,59 @@ class ToolTarget:
         position: Of the middle of the jaws, shape (3,) [m].
         orientation: Rotation of the tool, shape (3, 3); None: as it is.
         frame: What they are in: ``world``, or ``tool``, where the tool is now.
+        region: Edges of the box around the position in which any place will do, along the axes of the frame, shape (3,)
+            [m].
+        yaw: Largest turn of the tool from its orientation about the z axis of the frame, either way [rad].
     """
 
     group: str
     position: tuple[float, ...]
     orientation: Array | None
     frame: str
+    region: tuple[float, ...] = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
 
     @classmethod
     def asked(cls, arguments: Mapping[str, object]) -> "ToolTarget":
-        """Read the arguments of a request: ``group``, ``position``, ``orientation``, ``frame``.
+        """Read the arguments of a request: ``group``, ``position``, ``orientation``, ``frame``, ``region``, ``yaw``.
 
         Raises:
-            DataError: The position has not three numbers, or the orientation neither none, three nor four, or it is a
-                quaternion whose norm is not 1.
+            DataError: Position or region have not three numbers, or the orientation neither none, three nor four, or it
+                is a quaternion whose norm is not 1.
         """
         position = _numbers(arguments["position"])
         if len(position) != 3:
             text = f"argument position has {len(position)} numbers; x y z [m] are needed"
             raise DataError(text, argument="position", value=list(position))
         turn = _rotation(_numbers(arguments["orientation"]))
-        return cls(str(arguments["group"]), position, turn, str(arguments["frame"]))
+        region = _numbers(arguments.get("region")) or (0.0, 0.0, 0.0)
+        if len(region) != 3:
+            text = f"argument region has {len(region)} numbers; the edges of a box along x y z [m] are needed"
+            raise DataError(text, argument="region", value=list(region))
+        (yaw,) = _numbers([arguments.get("yaw", 0.0)])
+        return cls(str(arguments["group"]), position, turn, str(arguments["frame"]), region, yaw)
+
+    def wrists(self, here: WristPlacement, reach: float) -> list[WristPlacement]:
+        """Return placements of the wrist with the tool in the region: nearest to here, in the middle, and at random.
+
+        The same request has the same ones. Arguments as of :meth:`wrist`.
+        """
+        middle = self.wrist(here, reach)
+        half = np.array([*self.region, 2.0 * self.yaw]) / 2.0
+        if not half.any():
+            return [middle]
+        axes = here.rotation if self.frame == "tool" else np.eye(3)
+        along = np.array([0.0, 0.0, reach])
+        centre = middle.position + middle.rotation @ along
+        turn = axes.T @ here.rotation @ middle.rotation.T @ axes
+        yaw = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+        nearest = [*(axes.T @ (here.position + here.rotation @ along - centre)), yaw]
+        drawn = np.random.Generator(np.random.Philox(0)).uniform(-half, half, (_DRAWN, 4))
+        found = []
+        for offset in (np.clip(nearest, -half, half), np.zeros(4), *drawn):
+            rotation = axes @ matrix_of_rpy((0.0, 0.0, float(offset[3]))) @ axes.T @ middle.rotation
+            found.append(WristPlacement(centre + axes @ offset[:3] - rotation @ along, rotation))
+        return found
 
     def wrist(self, here: WristPlacement, reach: float) -> WristPlacement:
         """Return the placement of the wrist with the tool at the target.
@@ -88,9 +125,11 @@ class ToolTarget:
 
     def refusal(self, why: ImError) -> ImError:
         """Return the error for the target, with the reason why the tool cannot be there."""
-        told = ", ".join(f"{each:g}" for each in self.position)
+        place = ", ".join(f"{each:g}" for each in self.position)
+        around = " x ".join(f"{each:g}" for each in self.region)
         where = "world" if self.frame == "world" else "the frame of the tool as it is"
-        text = f"the tool of {self.group} cannot be at ({told}) m in {where}: {why.message}"
+        near = f", nor at any place tried in the {around} m around it" if any(self.region) or self.yaw else ""
+        text = f"the tool of {self.group} cannot be at ({place}) m in {where}{near}: {why.message}"
         return ImError.restored(why.code, text, {**why.facts, "position": list(self.position), "frame": self.frame})
 
 
@@ -104,9 +143,27 @@ def require_position(arguments: Mapping[str, object], way: str) -> None:
     Raises:
         DataError: It comes with something else.
     """
-    for name, default in DETAILS.items():
-        if way != "position" and arguments[name] != default:
-            raise DataError(f"argument {name} goes with position; it was given with {way}", argument=name)
+    if way != "position":
+        _require_defaults(arguments, DETAILS, "position", way)
+
+
+def require_planned(arguments: Mapping[str, object], way: str) -> None:
+    """Check a move without planning for what only a planned path can keep.
+
+    Args:
+        arguments: Of the request.
+        way: Argument for which nothing is planned.
+
+    Raises:
+        DataError: It comes with a region, a yaw or a tilt.
+    """
+    _require_defaults(arguments, PLANNED, "a path that is planned", way)
+
+
+def _require_defaults(arguments: Mapping[str, object], defaults: Mapping[str, object], needs: str, way: str) -> None:
+    for name, default in defaults.items():
+        if arguments[name] != default:
+            raise DataError(f"argument {name} goes with {needs}; it was given with {way}", argument=name)
 
 
 def _rotation(numbers: tuple[float, ...]) -> Array | None:

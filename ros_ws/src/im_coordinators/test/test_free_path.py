@@ -9,6 +9,7 @@ import pytest
 from im_cell.robot import load_cell, shipped_cells
 from im_coordinators.free_path import FreeSpace, find_path
 from im_coordinators.path_search import search
+from im_coordinators.tool import ANY_TILT
 from im_core.errors import ImError
 from im_mcs.collision import AllowedContact, CollisionChecker, CollisionScene, Thing
 from im_mcs.limits.configuration import load_config
@@ -32,8 +33,8 @@ def asked(cell, limits, joints, goal, things=()):
     index = [cell.joint_names.index(joint) for joint in joints]
     q = dict(zip(cell.joint_names, cell.home.tolist(), strict=True))
     lower, upper = limits.lower[index].tolist(), limits.upper[index].tolist()
-    return {"joints": joints, "positions": q, "goal": goal, "lower": lower, "upper": upper, "clearance": CLEARANCE,
-            "things": list(things), "contacts": [], "seed": 0}  # fmt: skip
+    return {"joints": joints, "positions": q, "goals": [goal], "lower": lower, "upper": upper, "clearance": CLEARANCE,
+            "things": list(things), "contacts": [], "seed": 0, "tilt": ANY_TILT, "wrist": None}  # fmt: skip
 
 
 def blocked_query(seed, index):
@@ -53,7 +54,7 @@ def blocked_query(seed, index):
 def test_a_path_around_is_free_at_every_milliradian(seed, joints):
     index = np.arange(joints)
     q, goal = blocked_query(seed, index)
-    path = find_path(space_of(q, index), q[index], goal, seed)
+    path = find_path(space_of(q, index), q[index], [goal], seed)
     assert np.array_equal(path.points[-1], goal)
     points = np.vstack([q[index], path.points])
     checker = CollisionChecker(MODEL, CLEARANCE)
@@ -68,10 +69,10 @@ def test_a_path_around_is_free_at_every_milliradian(seed, joints):
 def test_the_same_seed_gives_the_same_path_whatever_was_searched_before():
     index = np.arange(9)
     q, goal = blocked_query(1, index)
-    first = find_path(space_of(q, index), q[index], goal, 5).points
+    first = find_path(space_of(q, index), q[index], [goal], 5).points
     other_q, other_goal = blocked_query(2, index)
-    find_path(space_of(other_q, index), other_q[index], other_goal, 7)
-    assert find_path(space_of(q, index), q[index], goal, 5).points.tobytes() == first.tobytes()
+    find_path(space_of(other_q, index), other_q[index], [other_goal], 7)
+    assert find_path(space_of(q, index), q[index], [goal], 5).points.tobytes() == first.tobytes()
 
 
 def test_a_thing_in_the_way_is_gone_around_and_one_at_the_goal_is_told():
@@ -85,11 +86,11 @@ def test_a_thing_in_the_way_is_gone_around_and_one_at_the_goal_is_told():
     size = (0.1, 0.1, 0.1)
     space = space_of(q, index, Thing.checked("block", "box", size, "world", [*wrist, *UPRIGHT]))
     assert not space.line_free(q[index], goal)
-    path = find_path(space, q[index], goal, 0)
+    path = find_path(space, q[index], [goal], 0)
     assert len(path.points) > 1
     there = Thing.checked("block", "box", size, "world", [*_wrist_at(goal), *UPRIGHT])
     with pytest.raises(ImError, match="the goal of the path is too close"):
-        find_path(space_of(q, index, there), q[index], goal, 0)
+        find_path(space_of(q, index, there), q[index], [goal], 0)
 
 
 def test_what_is_held_counts_as_part_of_the_arm():
@@ -114,7 +115,7 @@ def test_a_question_is_answered_and_a_blocked_goal_is_an_error():
     question = asked(CELL, LIMITS, CELL.joint_names[:9], goal)
     assert search(CELL, question) == [goal]
     with pytest.raises(ImError, match="the goal of the path"):
-        search(CELL, {**question, "goal": [1.5, *goal[1:]]})
+        search(CELL, {**question, "goals": [[1.5, *goal[1:]]]})
 
 
 @pytest.mark.parametrize("name", shipped_cells())
@@ -152,11 +153,11 @@ def test_arms_that_the_watch_has_stopped_close_to_each_other_part_and_come_no_cl
         free, near = (middle, near) if checker.closest(q).distance > 0.6 * CLEARANCE else (free, middle)
     start, away = q[index].copy(), CELL.home[index]
     assert 0.0 < checker.closest(q).distance < CLEARANCE
-    path = find_path(space_of(q, index), start, away, seed=1)
+    path = find_path(space_of(q, index), start, [away], seed=1)
     assert checker.check_path(q, index, np.vstack([start, path.points])) > 0.5 * CLEARANCE
     for goal in (start + 0.003, start + 0.3):
         with pytest.raises(ImError, match="goal of the path is too close"):
-            find_path(space_of(q, index), start, goal, seed=1)
+            find_path(space_of(q, index), start, [goal], seed=1)
         with pytest.raises(ImError, match="is the least allowed"):
             checker.check_path(q, index, np.vstack([start, goal]))
     q[index] = start + 0.1
@@ -164,4 +165,4 @@ def test_arms_that_the_watch_has_stopped_close_to_each_other_part_and_come_no_cl
     with pytest.raises(ImError, match="at the start"):
         checker.check_path(q, index, np.vstack([q[index], away]))
     with pytest.raises(ImError, match="start of the path is too close"):
-        find_path(space_of(q, index), q[index], away, seed=1)
+        find_path(space_of(q, index), q[index], [away], seed=1)

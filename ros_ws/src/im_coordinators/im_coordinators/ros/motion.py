@@ -22,7 +22,7 @@ from im_coordinators.motion import (
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.ros.path_planning import STATE, placement_of, wrist_pose
-from im_coordinators.tool import DETAILS, ToolTarget, WristPlacement
+from im_coordinators.tool import DETAILS, ToolTarget, WristPlacement, require_planned
 from im_core.ros import qos, run
 from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import McsState
@@ -119,6 +119,7 @@ class MotionFunctions:
     async def straight_line(self, ctx: ActionContext) -> dict[str, object]:
         """Return the goal of a straight move: the pose of the wrist at the end, the same one after a doubt."""
         group = _group(ctx)
+        require_planned(ctx.request_arguments, "straight")
         await self._powered.require(ctx, group)
         if (end := end_noted(ctx.memory)) is None:
             asked = GetGroupState.Request(group=group)
@@ -149,7 +150,7 @@ def destination_asked(ctx: ActionContext) -> dict[str, object]:
     """Return the destination of the arm from the request's arguments; after a start, the end of the path followed."""
     asked = ctx.request_arguments
     way = way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
-    here = {"group": asked["group"], "near": asked["near"], "leaves": _path(ctx)}
+    here = {"group": asked["group"], "near": asked["near"], "tilt": asked["tilt"], "leaves": _path(ctx)}
     if (end := end_noted(ctx.memory)) is not None:
         return {**here, "joints": end}
     return {**here, way: asked[way], **{name: asked[name] for name in DETAILS}}
@@ -159,6 +160,7 @@ def path_asked(ctx: ActionContext) -> dict[str, object]:
     """Along which path the arm is to move."""
     asked = ctx.request_arguments
     way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
+    require_planned(asked, "path")
     return {"group": asked["group"], "path": asked["path"], "leaves": _path(ctx)}
 
 

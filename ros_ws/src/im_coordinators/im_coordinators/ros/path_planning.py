@@ -97,12 +97,12 @@ class PathPlanningFunctions:
 
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Store the joint-interpolated path to the goal if the path is free."""
-        joints, start, goal = _way(ctx)
-        await self._store(ctx, joints, start, [goal], "plan_done")
+        joints, start, goals = _way(ctx)
+        await self._store(ctx, joints, start, goals[:1], "plan_done")
 
     async def plan_around(self, ctx: ActionContext) -> None:
-        """Store a path around obstacles, found by a search; the same request gives the same path."""
-        joints, start, goal = _way(ctx)
+        """Store a path around obstacles or with the tool upright, found by a search; a request always gives the same."""
+        joints, start, goals = _way(ctx)
         group = str(ctx.request_arguments["group"])
         positions = dict(zip(joints, start, strict=True))
         for other in neighbours(self._cell.partitions, group, joints):
@@ -111,9 +111,10 @@ class PathPlanningFunctions:
         what = "what lies around to be told"
         around = await self._ask(AROUND, GetSurroundings.Request(group=group), what)
         question = {
-            "joints": joints, "positions": positions, "goal": goal, "lower": list(around.lower),
+            "joints": joints, "positions": positions, "goals": goals, "lower": list(around.lower),
             "upper": list(around.upper), "clearance": around.clearance, "things": json.loads(around.things_json),
             "contacts": list(zip(around.contacts[::2], around.contacts[1::2], strict=True)), "seed": 0,
+            "tilt": ctx.request_arguments["tilt"], "wrist": self._cell.groups[group].tip,
         }  # fmt: skip
         points = await self._host.noted_apart("path", search_apart, question)
         await self._store(ctx, joints, start, points, "plan_done")
@@ -170,22 +171,29 @@ class PathPlanningFunctions:
         require_position(asked, way)
         match way:
             case "joints":
-                q = configuration(asked["joints"], here.joints, here.group)
+                goals = [configuration(asked["joints"], here.joints, here.group)]
             case "posture":
-                q = self._home[here.group]
+                goals = [self._home[here.group]]
             case "position":
-                q = await self._for_tool(here, ToolTarget.asked(asked), seed)
+                goals = await self._for_tool(here, ToolTarget.asked(asked), seed)
             case _:
                 destination = await self._host.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
-                q = await self._configuration(here, destination.pose, seed)
-        ctx.memory["way"] = [list(here.joints), _position(here), q]
+                goals = [await self._configuration(here, destination.pose, seed)]
+        ctx.memory["way"] = [list(here.joints), _position(here), goals]
 
-    async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
-        wrist = target.wrist(placement_of(here.wrist), self._cell.reach_of(here.group))
-        try:
-            return await self._configuration(here, wrist_pose(wrist), seed)
-        except ImError as error:
-            raise target.refusal(error) from error
+    async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[list[float]]:
+        """Return joint positions with the tool at the target, one for each place of a region within reach."""
+        found: list[list[float]] = []
+        refused: list[ImError] = []
+        for wrist in target.wrists(placement_of(here.wrist), self._cell.reach_of(here.group)):
+            try:
+                found.append(await self._configuration(here, wrist_pose(wrist), seed))
+            except ImError as error:
+                refused.append(error)
+        if not found:
+            why = next((error for error in refused if error.code in BLOCKED), refused[0])
+            raise target.refusal(why) from why
+        return found
 
     async def _configuration(self, here: GroupState, wrist: Pose, seed: Sequence[float]) -> list[float]:
         request = InverseKinematics.Request(group=here.group, wrist=wrist, seed=seed, avoid_collisions=True)
@@ -211,8 +219,8 @@ class PathPlanningFunctions:
         return answer
 
 
-def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[float]]:
-    """Return the joints, the present positions, and the positions found for the request.
+def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[list[float]]]:
+    """Return the joints, the present positions, and the positions found for the request, of which any will do.
 
     Raises:
         StateError: Nothing was found.
@@ -220,8 +228,8 @@ def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[float]]:
     way: Any = ctx.memory.get("way")
     if way is None:
         raise StateError("no configuration has been found for the request")
-    joints, start, goal = way
-    return joints, start, goal
+    joints, start, goals = way
+    return joints, start, goals
 
 
 def _position(state: GroupState) -> list[float]:
