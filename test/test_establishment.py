@@ -11,7 +11,7 @@ from im_coordinators.ros.gripper import gripper_functions
 from im_coordinators.ros.motion import motion_functions
 from im_coordinators.ros.path_planning import planning_functions
 from im_coordinators.ros.vision import vision_functions
-from im_core.errors import StateError, WaitTimeoutError
+from im_core.errors import DataError, StateError, WaitTimeoutError
 from im_dispatcher.command import joined
 from im_dispatcher.commands import installed
 from im_dispatcher.report import StepTimes
@@ -97,13 +97,22 @@ def test_a_move_in_doubt_is_planned_to_where_it_was_to_lead_and_not_as_far_again
     host = Coordinator(1)
     made = motion_functions(host).actions
     asked = {"group": "left", "destination": "", "position": [0.0, 0.0, 0.1], "orientation": [], "frame": "tool"}
-    command = Command(**asked, joints=[], path="", near="here")
+    command = Command(**asked, joints=[], path="", near="here", region=[], yaw=0.0, tilt=0.1)
     host.dom[command.object("path/left")] = JointTrajectory(points=[JointTrajectoryPoint(positions=[0.5, 1.5])])
 
     assert made["destination_asked"](command)["frame"] == "tool"
     asyncio.run(made["path_to_follow"](command))
     again = made["destination_asked"](command)
-    assert again == {"group": "left", "near": "here", "leaves": "path/left", "joints": [0.5, 1.5]}
+    assert again == {"group": "left", "near": "here", "tilt": 0.1, "leaves": "path/left", "joints": [0.5, 1.5]}
+
+
+def test_a_tilt_goes_with_no_path_that_is_given_and_with_no_straight_line():
+    made = motion_functions(Coordinator(1)).actions
+    asked = {"group": "left", "destination": "", "position": [], "joints": [], "path": "given", "region": [], "yaw": 0.0}
+    with pytest.raises(DataError, match="argument tilt goes with a path that is planned; it was given with path"):
+        made["path_asked"](Command(**asked, tilt=0.1))
+    with pytest.raises(DataError, match="argument tilt goes with a path that is planned; it was given with straight"):
+        asyncio.run(made["straight_line"](Command(**asked, tilt=0.1)))
 
 
 @pytest.mark.parametrize(

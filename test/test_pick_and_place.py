@@ -9,10 +9,16 @@ import subprocess
 import sys
 
 import cv2
+import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
+from sensor_msgs.msg import JointState
 
+from im_cell.robot import load_cell
+from im_coordinators.ros.path_planning import placement_of
 from im_core.config import package_file
+from im_core.ros import qos
+from im_mcs.model import CellModel
 from im_msgs.srv import PlaceObject
 from support.whole_machine import COMMAND_S, ROOT, running_machine
 
@@ -60,6 +66,47 @@ def test_where_nothing_is_and_where_no_arm_reaches_it_is_told(machine):
     far = machine.execute("pick", position=[0.0, 5.0, 1.0])()
     assert not far.success
     assert "cannot be at (0, 5, 1.12) m in world" in far.status.message
+
+
+#: Joint positions of the left arm with the tool down over the table, on either side of the shoulder.
+DOWN = [-0.01, 1.08, 0.56, 1.18, 1.66, -2.94, 2.63, 1.62, -1.13]
+DOWN_TOO = [-0.48, 1.68, 0.34, 0.09, 1.59, -2.67, -0.03, -1.715, -1.37]
+
+
+def largest_lean(machine, **arguments):
+    """How far the tool of the left arm is from pointing down, at most, while a command moves the arm [rad]."""
+    model, seen = CellModel(load_cell()), []
+    listening = machine.node.create_subscription(JointState, "/joint_states", seen.append, qos.EVENTS)
+    moved = machine.execute("move", **arguments)()
+    machine.node.destroy_subscription(listening)
+    assert moved.success, moved.status.message
+    q = [np.array(told.position[: model.n]) for told in seen]
+    return max(np.arccos(-model.pose(each, "left_wrist").rotation[2, 2]) for each in q)
+
+
+def test_a_tool_that_is_kept_upright_is_so_all_along_its_motion(machine):
+    limit = 0.1
+    assert machine.execute("move", joints=DOWN)().success
+    assert largest_lean(machine, joints=DOWN_TOO) > 1.0, "where it need not be"
+    assert largest_lean(machine, joints=DOWN, tilt=limit) < limit
+    reached = tool_of(machine)
+    edges = [0.3, 0.3, 0.2]
+    place = [reached[0] - 0.4, reached[1], reached[2] + 0.2]
+    down = [math.pi, 0.0, 0.0]
+    assert largest_lean(machine, position=place, orientation=down, region=edges, yaw=3.1, tilt=limit) < limit
+    off = np.abs(np.subtract(tool_of(machine), place))
+    assert (off <= np.array(edges) / 2 + 2e-3).all()
+    assert machine.execute("home", group="left")().success
+    leaning = machine.execute("move", joints=DOWN, tilt=limit)()
+    assert "the tool leans 18.4 degrees from upright at the start of the path" in leaning.status.message
+
+
+def tool_of(machine):
+    """Where the middle of the jaws of the left arm is by the measured joints, shape (3,) [m]."""
+    from im_msgs.srv import GetGroupState
+
+    wrist = placement_of(machine.call(GetGroupState, "/mcs/get_group_state", group="left").state.wrist)
+    return wrist.position + wrist.rotation @ [0.0, 0.0, load_cell().reach_of("left")]
 
 
 def set_thing(machine, **fields):

@@ -1,4 +1,8 @@
-"""CPU time of searches for free paths among the shipped free bodies, and an independent check of the paths."""
+"""CPU time of searches for free paths among the shipped free bodies, and an independent check of the paths.
+
+With the tool upright a goal is the end of a walk that keeps the tool so: between two drawn ones there may be no path, for
+joints at their limits separate the ways to reach a place.
+"""
 
 from itertools import pairwise
 
@@ -9,6 +13,7 @@ from bench.figures import Line
 from im_cell.robot import load_cell
 from im_cell.robot.objects import ObjectsFile
 from im_coordinators.free_path import FreeSpace, find_path
+from im_coordinators.upright import Upright
 from im_core import clock
 from im_core.config import load_model, package_file
 from im_core.errors import ImError
@@ -26,10 +31,12 @@ _STEP = 1e-3
 _CHECKED = 5
 #: Least distance of the carts of two arms on their track [m]: they cannot pass each other.
 _APART_M = 0.5
+#: Limit of the tilt of an upright tool [rad]; steps of a walk to a goal and their length [rad or m].
+_TILT, _WALK, _STRIDE = 0.1, 40, 0.9
 
 
 def lines(config: McsConfig, seed: int) -> list[Line]:
-    """Queries whose straight line is blocked: of the left and the right arm in turn, and of both."""
+    """Queries whose straight line is blocked: of each arm in turn, of both, and of each with the tool upright."""
     cell = load_cell()
     model, limits = CellModel(cell), JointLimits(cell, config.limits, config.slots)
     objects = load_model(package_file("im_cell", "cells/puma_pair/objects.yaml"), ObjectsFile).objects
@@ -41,26 +48,36 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
     random = np.random.default_rng(seed)
     arms = [np.arange(half), np.arange(half, model.n)]
     found: list[Line] = []
-    for name, queries, groups in (
-        (f"{half} joints", _QUERIES, arms),
-        (f"{model.n} joints", _QUERIES_OF_BOTH, [np.arange(model.n)]),
+    wrists = [group.tip for group in cell.groups.values()]
+    for name, queries, groups, tilt in (
+        (f"{half} joints", _QUERIES, arms, None),
+        (f"{model.n} joints", _QUERIES_OF_BOTH, [np.arange(model.n)], None),
+        (f"{half} joints, upright within {_TILT:g} rad", _QUERIES, arms, _TILT),
     ):
         seconds, refused, steps, checked = [], 0, 0, 0
         for number in range(queries):
             index = groups[number % len(groups)]
             q, lower, upper = cell.home.copy(), limits.lower[index], limits.upper[index]
-            space = FreeSpace(model, lower, upper, clearance, q, index, around)
-            q[index], goal = _blocked(space, random)
+            space, upright, goal = FreeSpace(model, lower, upper, clearance, q, index, around), None, None
+            if tilt is None:
+                q[index], goal = _blocked(space, random)
+            while goal is None:
+                q[index] = random.uniform(lower, upper)
+                upright = Upright(model, wrists[number % len(groups)], _TILT, q)
+                space = FreeSpace(model, lower, upper, clearance, q, index, around, upright)
+                q[index], goal = _walked(space, q[index], random)
             began = clock.cpu()
+            space = FreeSpace(model, lower, upper, clearance, q, index, around, upright)
             try:
-                path = find_path(FreeSpace(model, lower, upper, clearance, q, index, around), q[index], [goal], number)
+                path = find_path(space, q[index], [goal], number)
             except ImError:
                 seconds.append(np.inf)
                 continue
             seconds.append(clock.cpu() - began)
             if number % _CHECKED == 0:
-                closest, looked = _closest(bodies, q, index, np.vstack([q[index], path.points]))
-                refused, steps, checked = refused + (closest < clearance), steps + looked, checked + 1
+                closest, most, looked = _extremes(bodies, upright, q, index, np.vstack([q[index], path.points]))
+                refused, steps = refused + (closest < clearance or most > _TILT), steps + looked
+                checked += 1
         share = float(np.mean(np.array(seconds) <= _WITHIN_S))
         found += [
             Line(f"{name}: CPU time of a path, median", float(np.median(seconds)), "s", bar=_MEDIAN_S),
@@ -81,9 +98,24 @@ def _blocked(space: FreeSpace, random: np.random.Generator) -> tuple[Array, Arra
             return a, b
 
 
-def _closest(bodies: Bodies, q_all: Array, index: NDArray[np.intp], points: Array) -> tuple[float, int]:
-    """Return the smallest distance on a path, at every step [m], and the number of steps."""
-    whole, least, steps = q_all.copy(), np.inf, 0
+def _walked(space: FreeSpace, start: Array, random: np.random.Generator) -> tuple[Array, Array | None]:
+    """Draw a free position with the tool upright, and another one reached from there but on no straight line, if any."""
+    first = space.projected(start)
+    if first is None or not space.free(first):
+        return start, None
+    goal = first
+    for _ in range(_WALK):
+        way = random.normal(size=len(first))
+        step = space.projected(goal + way * (_STRIDE / np.linalg.norm(way)))
+        goal = goal if step is None or not space.line_free(goal, step) else step
+    return first, None if space.line_free(first, goal) else goal
+
+
+def _extremes(
+    bodies: Bodies, upright: Upright | None, q_all: Array, index: NDArray[np.intp], points: Array
+) -> tuple[float, float, int]:
+    """Return the smallest distance on a path [m] and the largest tilt [rad] at every step, and the number of steps."""
+    whole, least, most, steps = q_all.copy(), np.inf, 0.0, 0
     for a, b in pairwise(points):
         count = int(np.ceil(np.abs(b - a).max() / _STEP))
         steps += count
@@ -91,4 +123,5 @@ def _closest(bodies: Bodies, q_all: Array, index: NDArray[np.intp], points: Arra
             whole[index] = a + (b - a) * (k / count)
             bodies.place(whole)
             least = min(least, bodies.closest().distance)
-    return least, steps
+            most = most if upright is None else max(most, upright.tilt(whole))
+    return least, most, steps

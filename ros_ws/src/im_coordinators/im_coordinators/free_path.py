@@ -174,25 +174,37 @@ def find_path(space: FreeSpace, start: Array, goals: Sequence[Array], seed: int)
         ImError: Start or goals are not free, or no path was found (code ``collision``); or the tool leans too far there
             (code ``limit``).
     """
-    free = _allowed(space, "goal", goals)
+    _require_upright(space, "start", [start])
+    _require_upright(space, "goal", goals)
+    free = _free_ones(space, "goal", goals)
     space.leave(start)
-    _allowed(space, "start", [start])
+    _free_ones(space, "start", [start])
     straight = next((goal for goal in free if space.line_free(start, goal)), None)
     points = _connect(space, start, free, seed) if straight is None else [start, straight]
     return FreePath(np.array(_shortened(space, points, seed)[1:]), space.checks)
 
 
-def _allowed(space: FreeSpace, end: str, positions: Sequence[Array]) -> list[Array]:
+def _require_upright(space: FreeSpace, end: str, positions: Sequence[Array]) -> None:
+    """Check for an end of a path in which the tool does not lean too far.
+
+    Raises:
+        ImError: In all of them it does (code ``limit``).
+    """
+    if space.upright is None:
+        return
+    least, limit = min(space.tilt(q) for q in positions), space.upright.limit
+    if least >= limit:
+        told = f"leans {np.degrees(least):.1f} degrees from upright at the {end} of the path"
+        text = f"the tool {told}, and is to keep below {np.degrees(limit):.1f}"
+        raise ImError(text, code="limit", end=end, value=least, limit=limit)
+
+
+def _free_ones(space: FreeSpace, end: str, positions: Sequence[Array]) -> list[Array]:
     """Return the free positions among those in which a path may begin or end.
 
     Raises:
-        ImError: The tool leans too far in all of them (code ``limit``), or none is free (code ``collision``).
+        ImError: None is free (code ``collision``).
     """
-    if space.upright is not None:
-        least, limit = min(space.tilt(q) for q in positions), space.upright.limit
-        if least >= limit:
-            told = f"leans {np.degrees(least):.1f} degrees at the {end} of the path, of {np.degrees(limit):.1f} allowed"
-            raise ImError(f"the tool {told}", code="limit", end=end, value=least, limit=limit)
     if not (found := [q for q in positions if space.free(q)]):
         text = f"the {end} of the path is too close to something; no path is free there"
         raise ImError(text, code="collision", end=end)

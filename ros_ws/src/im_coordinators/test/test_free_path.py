@@ -10,6 +10,7 @@ from im_cell.robot import load_cell, shipped_cells
 from im_coordinators.free_path import FreeSpace, find_path
 from im_coordinators.path_search import search
 from im_coordinators.tool import ANY_TILT
+from im_coordinators.upright import Upright
 from im_core.errors import ImError
 from im_mcs.collision import AllowedContact, CollisionChecker, CollisionScene, Thing
 from im_mcs.limits.configuration import load_config
@@ -21,11 +22,30 @@ MODEL = CellModel(CELL)
 LIMITS = JointLimits(CELL, CONFIG.limits, CONFIG.slots)
 CLEARANCE = CONFIG.collision.clearance_m
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+#: Two positions of the left arm with the tool down; the shoulder is on the other side, and on the straight line between
+#: them the tool tilts by a right angle.
+DOWN = np.array([-0.01, 1.08, 0.56, 1.18, 1.66, -2.94, 2.63, 1.62, -1.13])
+DOWN_TOO = np.array([-0.48, 1.68, 0.34, 0.09, 1.59, -2.67, -0.03, -1.715, -1.37])
 
 
 def space_of(q, index, *things, contacts=()):
     around = CollisionScene(things, tuple(AllowedContact(first=a, second=b, until_ns=0) for a, b in contacts))
     return FreeSpace(MODEL, LIMITS.lower[index], LIMITS.upper[index], CLEARANCE, q, index, around)
+
+
+def upright_space(start, limit, *things):
+    """Of the left arm with the tool as upright as it is at the start."""
+    q, index = CELL.home.copy(), np.arange(9)
+    q[index] = start
+    around, lower, upper = CollisionScene(things, ()), LIMITS.lower[index], LIMITS.upper[index]
+    return FreeSpace(MODEL, lower, upper, CLEARANCE, q, index, around, Upright(MODEL, "left_wrist", limit, q))
+
+
+def lean_of(q):
+    """How far the tool of the left arm is from pointing down [rad]."""
+    whole = CELL.home.copy()
+    whole[:9] = q
+    return np.arccos(-MODEL.pose(whole, "left_wrist").rotation[2, 2])
 
 
 def asked(cell, limits, joints, goal, things=()):
@@ -64,6 +84,70 @@ def test_a_path_around_is_free_at_every_milliradian(seed, joints):
         for share in np.linspace(0.0, 1.0, int(np.ceil(np.abs(b - a).max() / 1e-3)) + 1)[:: 1 if joints == 9 else 3]:
             whole[index] = a + share * (b - a)
             assert checker.closest(whole).distance >= CLEARANCE
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.1, 0.3])
+def test_a_tool_that_is_kept_upright_is_so_at_every_milliradian(limit):
+    middle = 0.5 * (DOWN + DOWN_TOO)
+    assert lean_of(middle) > 1.0
+    path = find_path(upright_space(DOWN, limit), DOWN, [DOWN_TOO], 1)
+    points = np.vstack([DOWN, path.points])
+    assert np.array_equal(points[-1], DOWN_TOO)
+    for a, b in pairwise(points):
+        shares = np.linspace(0.0, 1.0, int(np.ceil(np.abs(b - a).max() / 1e-3)) + 1)
+        assert max(lean_of(a + share * (b - a)) for share in shares) < limit
+    q = CELL.home.copy()
+    q[:9] = DOWN
+    CollisionChecker(MODEL, CLEARANCE).check_path(q, np.arange(9), points)
+    again = find_path(upright_space(DOWN, limit), DOWN, [DOWN_TOO], 1)
+    assert again.points.tobytes() == path.points.tobytes()
+
+
+def test_an_upright_tool_goes_around_what_is_in_the_way():
+    free = find_path(upright_space(DOWN, 0.3), DOWN, [DOWN_TOO], 1).points
+    wrist = _wrist_at(0.5 * (free[0] + free[1]))
+    there = Thing.checked("block", "box", (0.06, 0.06, 0.06), "world", [*wrist, *UPRIGHT])
+    space = upright_space(DOWN, 0.3, there)
+    assert not space.line_free(free[0], free[1])
+    points = np.vstack([DOWN, find_path(space, DOWN, [DOWN_TOO], 1).points])
+    assert all(upright_space(DOWN, 0.3, there).line_free(a, b) for a, b in pairwise(points))
+
+
+def test_a_tool_that_leans_at_an_end_is_told_in_degrees():
+    leaning = DOWN.copy()
+    leaning[7] -= 0.2
+    lean = np.degrees(lean_of(leaning))
+    for start, goal, end in ((leaning, DOWN, "start"), (DOWN, leaning, "goal")):
+        told = f"the tool leans {lean:.1f} degrees from upright at the {end} of the path, and is to keep below 5.6"
+        with pytest.raises(ImError, match=told) as raised:
+            find_path(upright_space(start, 0.1), start, [goal], 0)
+        assert raised.value.code == "limit"
+    assert np.array_equal(find_path(upright_space(DOWN, 0.25), DOWN, [leaning], 0).points, [leaning])
+
+
+def test_of_several_goals_those_that_cannot_be_are_passed_over():
+    index, q = np.arange(9), CELL.home.copy()
+    near, far = q[index].copy(), q[index].copy()
+    near[8] += 0.2
+    far[8] += 0.4
+    blocked = np.array([1.5, *q[1:9]])
+    assert np.array_equal(find_path(space_of(q, index), q[index], [blocked, near, far], 0).points, [near])
+    with pytest.raises(ImError, match="the goal of the path is too close"):
+        find_path(space_of(q, index), q[index], [blocked], 0)
+    leaning = DOWN.copy()
+    leaning[7] -= 0.4
+    assert np.array_equal(find_path(upright_space(DOWN, 0.3), DOWN, [leaning, DOWN_TOO], 1).points[-1], DOWN_TOO)
+
+
+def test_a_search_with_several_goals_ends_at_one_of_them():
+    index = np.arange(9)
+    q, goal = blocked_query(1, index)
+    other = goal.copy()
+    other[8] *= 0.9
+    space = space_of(q, index)
+    assert not space.line_free(q[index], other)
+    path = find_path(space, q[index], [goal, other], 3)
+    assert any(np.array_equal(path.points[-1], each) for each in (goal, other))
 
 
 def test_the_same_seed_gives_the_same_path_whatever_was_searched_before():

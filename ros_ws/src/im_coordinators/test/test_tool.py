@@ -1,13 +1,14 @@
 """Where a wrist must be for its tool to be where it is asked to be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_coordinators.tool import ToolTarget, WristPlacement, require_position
+from im_coordinators.tool import ANY_TILT, ToolTarget, WristPlacement, require_planned, require_position
 from im_core.errors import DataError, ImError
 
 REACH = 0.15
@@ -99,6 +100,56 @@ def test_what_is_no_pose_is_refused(position, orientation, told):
         asked(position, orientation)
 
 
+@given(triples, st.none() | quaternions, triples, quaternions, st.sampled_from(["world", "tool"]))
+def test_places_of_a_region_are_in_its_box_turned_by_no_more_than_the_yaw_and_the_nearest_comes_first(
+    at, orientation, place, q, frame
+):
+    here, edges, yaw = WristPlacement.of(place, q), (0.4, 0.0, 0.2), 0.7
+    target = replace(asked(at, orientation or (), frame), region=edges, yaw=yaw)
+    axes = tool(here)[:3, :3] if frame == "tool" else np.eye(3)
+    middle = tool(target.wrist(here, REACH))
+    places = [tool(wrist) for wrist in target.wrists(here, REACH)]
+    offsets = [axes.T @ (each[:3, 3] - middle[:3, 3]) for each in places]
+    for each, offset in zip(places, offsets, strict=True):
+        assert (np.abs(offset) <= np.array(edges) / 2 + 1e-9).all()
+        turn = axes.T @ each[:3, :3] @ middle[:3, :3].T @ axes
+        assert turn[2, 2] == pytest.approx(1.0, abs=1e-6), "about the z axis alone"
+        assert abs(math.atan2(turn[1, 0], turn[0, 0])) <= yaw + 1e-6
+    ways = [np.linalg.norm(each[:3, 3] - tool(here)[:3, 3]) for each in places]
+    assert ways[0] <= min(ways) + 1e-9
+    turns = [np.trace(each[:3, :3].T @ tool(here)[:3, :3]) for each in places]
+    assert turns[0] >= max(turns) - 1e-6
+    assert len({tuple(offset.round(9)) for offset in offsets}) >= len(places) - 1, "but that the nearest may be the middle"
+    again = [tool(wrist) for wrist in target.wrists(here, REACH)]
+    assert np.array_equal(again, places)
+
+
+@given(triples, quaternions, triples, quaternions)
+def test_without_a_region_there_is_one_place(at, orientation, place, q):
+    target, here = asked(at, orientation), WristPlacement.of(place, q)
+    (only,) = target.wrists(here, REACH)
+    assert tool(only) == pytest.approx(tool(target.wrist(here, REACH)))
+
+
+def test_a_region_has_three_edges_and_is_told_in_a_refusal():
+    request = {"group": "left", "position": [1, 2, 3], "orientation": [], "frame": "world", "yaw": 0.5}
+    target = ToolTarget.asked({**request, "region": [0.1, 0.2, 0.0]})
+    assert (target.region, target.yaw) == ((0.1, 0.2, 0.0), 0.5)
+    told = target.refusal(ImError("left_wrist is out of reach", code="unreachable")).message
+    assert "at (1, 2, 3) m in world, nor at any place tried in the 0.1 x 0.2 x 0 m around it: left_wrist is" in told
+    with pytest.raises(DataError, match="argument region has 2 numbers; the edges of a box along x y z"):
+        ToolTarget.asked({**request, "region": [0.1, 0.2]})
+
+
+def test_a_region_and_a_tilt_go_with_a_path_that_is_planned():
+    require_planned({"region": [], "yaw": 0.0, "tilt": ANY_TILT}, "straight")
+    for asked_for in ({"region": [0.1, 0.1, 0.1]}, {"yaw": 0.1}, {"tilt": 0.1}):
+        (name,) = asked_for
+        told = f"argument {name} goes with a path that is planned; it was given with straight"
+        with pytest.raises(DataError, match=told):
+            require_planned({"region": [], "yaw": 0.0, "tilt": ANY_TILT, **asked_for}, "straight")
+
+
 def test_a_refusal_says_what_was_asked_and_keeps_its_code():
     why = ImError("left_wrist is out of reach", code="unreachable", frame="left_wrist")
     told = asked([0.0, 0.0, 9.0]).refusal(why)
@@ -108,9 +159,12 @@ def test_a_refusal_says_what_was_asked_and_keeps_its_code():
 
 
 def test_orientation_and_frame_go_with_a_position():
-    require_position({"orientation": [], "frame": "world"}, "joints")
-    require_position({"orientation": [0.0, 0.0, HALF, HALF], "frame": "tool"}, "position")
+    without = {"orientation": [], "frame": "world", "region": [], "yaw": 0.0}
+    require_position(without, "joints")
+    require_position({**without, "orientation": [0.0, 0.0, HALF, HALF], "frame": "tool", "yaw": 0.1}, "position")
     with pytest.raises(DataError, match="argument orientation goes with position; it was given with joints"):
-        require_position({"orientation": [0.0, 0.0, 1.0], "frame": "world"}, "joints")
+        require_position({**without, "orientation": [0.0, 0.0, 1.0]}, "joints")
     with pytest.raises(DataError, match="argument frame goes with position; it was given with destination"):
-        require_position({"orientation": [], "frame": "tool"}, "destination")
+        require_position({**without, "frame": "tool"}, "destination")
+    with pytest.raises(DataError, match="argument region goes with position; it was given with posture"):
+        require_position({**without, "region": [0.1, 0.1, 0.1]}, "posture")
