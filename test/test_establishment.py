@@ -108,7 +108,15 @@ def test_a_move_in_doubt_is_planned_to_where_it_was_to_lead_and_not_as_far_again
 
 def test_a_tilt_goes_with_no_path_that_is_given_and_with_no_straight_line():
     made = motion_functions(Coordinator(1)).actions
-    asked = {"group": "left", "destination": "", "position": [], "joints": [], "path": "given", "region": [], "yaw": 0.0}
+    asked = {
+        "group": "left",
+        "destination": "",
+        "position": [],
+        "joints": [],
+        "path": "given",
+        "region": [],
+        "yaw": 0.0,
+    }
     with pytest.raises(DataError, match="argument tilt goes with a path that is planned; it was given with path"):
         made["path_asked"](Command(**asked, tilt=0.1))
     with pytest.raises(DataError, match="argument tilt goes with a path that is planned; it was given with straight"):

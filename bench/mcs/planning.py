@@ -1,7 +1,7 @@
 """CPU time of searches for free paths among the shipped free bodies, and an independent check of the paths.
 
-With the tool upright a goal is the end of a walk that keeps the tool so: between two drawn ones there may be no path, for
-joints at their limits separate the ways to reach a place.
+With the tool upright a goal is the end of a walk that keeps the tool so. Between two that are drawn there may be no
+path: limits of joints divide the upright positions into parts.
 """
 
 from itertools import pairwise
@@ -99,7 +99,7 @@ def _blocked(space: FreeSpace, random: np.random.Generator) -> tuple[Array, Arra
 
 
 def _walked(space: FreeSpace, start: Array, random: np.random.Generator) -> tuple[Array, Array | None]:
-    """Draw a free position with the tool upright, and another one reached from there but on no straight line, if any."""
+    """Draw a free position with the tool upright, and another one that no straight line leads to, if there is one."""
     first = space.projected(start)
     if first is None or not space.free(first):
         return start, None

@@ -33,8 +33,8 @@ def search_apart(question: Mapping[str, object]) -> list[list[float]]:
     Args:
         question: JSON data: ``joints``, names of those that move; ``positions``, of all joints by name; ``goals``, of
             those that move, any of them will do; their limits ``lower`` and ``upper``; ``clearance``; ``things``, as
-            MCS tells them; ``contacts``, pairs of names that may touch; ``tilt`` of the ``wrist`` that is allowed [rad],
-            :data:`ANY_TILT` for any; ``seed``.
+            MCS tells them; ``contacts``, pairs of names that may touch; ``tilt``, how far the ``wrist`` may lean [rad];
+            ``seed``.
 
     Returns:
         Points behind the start, the last one is the goal.
@@ -74,7 +74,7 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
     tilt = question["tilt"]
     upright = None if tilt >= ANY_TILT else Upright(model, question["wrist"], tilt, q_all)
     space = FreeSpace(model, lower, upper, question["clearance"], q_all, index, around, upright)
-    found = find_path(space, q_all[index], np.array(question["goals"]), question["seed"])
+    found = find_path(space, q_all[index], list(np.array(question["goals"])), question["seed"])
     return [[float(value) for value in point] for point in found.points]
 
 

@@ -58,7 +58,8 @@ class Upright:
         Args:
             q_all: Positions of all joints, shape (n,) [rad or m].
             index: Joints that may move, shape (k,).
-            lower, upper: Their limits, shape (k,) [rad or m].
+            lower: Their smallest positions, shape (k,) [rad or m].
+            upper: Their largest positions, shape (k,) [rad or m].
         """
         whole = q_all.copy()
         whole[index] = q = np.clip(q_all[index], lower, upper)

@@ -119,7 +119,9 @@ def test_places_of_a_region_are_in_its_box_turned_by_no_more_than_the_yaw_and_th
     assert ways[0] <= min(ways) + 1e-9
     turns = [np.trace(each[:3, :3].T @ tool(here)[:3, :3]) for each in places]
     assert turns[0] >= max(turns) - 1e-6
-    assert len({tuple(offset.round(9)) for offset in offsets}) >= len(places) - 1, "but that the nearest may be the middle"
+    assert len({tuple(offset.round(9)) for offset in offsets}) >= len(places) - 1, (
+        "but that the nearest may be the middle"
+    )
     again = [tool(wrist) for wrist in target.wrists(here, REACH)]
     assert np.array_equal(again, places)
 

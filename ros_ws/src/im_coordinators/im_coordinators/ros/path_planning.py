@@ -101,7 +101,7 @@ class PathPlanningFunctions:
         await self._store(ctx, joints, start, goals[:1], "plan_done")
 
     async def plan_around(self, ctx: ActionContext) -> None:
-        """Store a path around obstacles or with the tool upright, found by a search; a request always gives the same."""
+        """Store a path around obstacles, with the tool upright if asked; the same request gives the same path."""
         joints, start, goals = _way(ctx)
         group = str(ctx.request_arguments["group"])
         positions = dict(zip(joints, start, strict=True))
