@@ -185,7 +185,7 @@ def find_path(space: FreeSpace, start: Array, goals: Sequence[Array], seed: int)
 
 
 def _require_upright(space: FreeSpace, end: str, positions: Sequence[Array]) -> None:
-    """Check for an end of a path in which the tool does not lean too far.
+    """Check for an end of a path with the tool within the limit of the tilt.
 
     Raises:
         ImError: In all of them it does (code ``limit``).
@@ -200,7 +200,7 @@ def _require_upright(space: FreeSpace, end: str, positions: Sequence[Array]) -> 
 
 
 def _free_ones(space: FreeSpace, end: str, positions: Sequence[Array]) -> list[Array]:
-    """Return the free positions among those in which a path may begin or end.
+    """Return the free ones of positions where a path may begin or end.
 
     Raises:
         ImError: None is free (code ``collision``).
@@ -233,7 +233,7 @@ def _connect(space: FreeSpace, start: Array, goals: Sequence[Array], seed: int) 
             out[0] = space.tilt(x)
 
         def project(self, x: Array) -> bool:
-            """Move positions to the nearest that are upright."""
+            """Move positions to upright ones nearby."""
             found = space.projected(x)
             if found is not None:
                 x[:] = found
