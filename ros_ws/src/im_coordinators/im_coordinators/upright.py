@@ -47,7 +47,7 @@ class Upright:
     def levers(self) -> Array:
         """Return the largest change of the tilt by unit motion of each joint, shape (n,) [1 or rad/m]."""
         below = self._model.joints_below(self._frame)
-        turning = [rank in below and joint.kind == "revolute" for rank, joint in enumerate(self._model.cell.joints)]
+        turning = [rank in below and joint.kind != "prismatic" for rank, joint in enumerate(self._model.cell.joints)]
         return np.array(turning, dtype=np.float64)
 
     def project(self, q_all: Array, index: NDArray[np.intp], lower: Array, upper: Array) -> Array | None:
