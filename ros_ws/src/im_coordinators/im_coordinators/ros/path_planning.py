@@ -179,7 +179,7 @@ class PathPlanningFunctions:
             case _:
                 destination = await self._host.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
                 goals = [await self._configuration(here, destination.pose, seed)]
-        ctx.memory["way"] = [list(here.joints), _position(here), goals]
+        ctx.memory["goals"] = [list(here.joints), _position(here), goals]
 
     async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[list[float]]:
         """Return joint positions with the tool at the target, one for each place of a region within reach."""
@@ -225,7 +225,7 @@ def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[list[float]]]
     Raises:
         StateError: Nothing was found.
     """
-    way: Any = ctx.memory.get("way")
+    way: Any = ctx.memory.get("goals")
     if way is None:
         raise StateError("no configuration has been found for the request")
     joints, start, goals = way
