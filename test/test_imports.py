@@ -70,7 +70,7 @@ LIBRARIES = {
 }
 
 #: Packages that install with pip, without the machine, and the distributions that hold what they import.
-ALONE = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_pnt_display", "im_pnt_node")
+ALONE = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_dom", "im_pnt_display", "im_pnt_node")
 DISTRIBUTIONS = {"yaml": "pyyaml", "z3": "z3-solver", "pydantic_core": "pydantic", "lz4": "rosbags"}
 
 HOST_END = "im_cell.link.HostEnd"

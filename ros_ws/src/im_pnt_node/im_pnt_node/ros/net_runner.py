@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -17,10 +18,12 @@ from rclpy.validate_node_name import validate_node_name
 
 from im_core import plugins
 from im_core.clock import monotonic
-from im_core.errors import ConfigError, ImError, StateError
+from im_core.errors import ConfigError, ImError
+from im_core.names import run_dir
 from im_core.processes.end_signals import heed_end_signals
 from im_core.processes.process import ChildProcess
 from im_core.ros.calls import pause
+from im_core.ros.peers.servers import servers_of
 from im_core.ros.run import Spinner
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
@@ -45,8 +48,9 @@ Exit code: 0 done, 1 the command failed or the nets are refused, 2 a file, an op
 
 OK, REFUSED, BAD_INPUT = 0, 1, 2
 VERIFIER = "im_pnt_analysis:verify_to_load"
-PAGE = "im_pnt_display"
-DOM_S = 5.0
+PAGE, DOM = "im_pnt_display", "im_dom"
+DOM_S = 2.0
+"""How long no Data Object Manager may be in the graph before this program starts one [s]."""
 PATIENCE_S = 3.0
 """How long cancelled commands may go on without any action under way [s]: the process ends within 5 s."""
 _LOOK_S = 0.05
@@ -96,12 +100,13 @@ def _run(
         if options.page:
             page = ChildProcess.of_module(f"{PAGE}.ros.node", ["--ros-args", "-p", "standalone:=true"])
             ends.callback(page.stop)
-        journal = str(Path(options.journal).resolve()) if options.journal else ""
-        given = {"standalone": True, "seed": options.seed, "journal_dir": journal}
+        folder = Path(options.journal).resolve() if options.journal else None
+        given = {"standalone": True, "seed": options.seed, "journal_dir": str(folder / "journal") if folder else ""}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
-        node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides)
+        node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides, folder)
         spinner = Spinner([node])
         ends.callback(spinner.stop)
+        ends.callback(node.stop_dom)
         node.finished = spinner.request_stop
         heed_end_signals(lambda _: node.interrupt())
         spinner.spin()
@@ -125,6 +130,7 @@ class RunNode(PntNode):
         order: The command; None: clients bring commands.
         verifier: Says whether nets may run together.
         overrides: Parameters.
+        folder: Keeps the data objects where no machine does; None: the run folder.
 
     Attributes:
         exit_code: That of the process.
@@ -138,13 +144,21 @@ class RunNode(PntNode):
         order: Order | None,
         verifier: Verifier,
         overrides: list[Parameter],
+        folder: Path | None,
     ) -> None:
         super().__init__(name, files, verifier=verifier, parameter_overrides=overrides)
         self.exit_code = OK
         self.finished: Callable[[], None] = lambda: None
         self._order = order
         self._ending, self._obeying = False, order is not None
+        self._folder = folder
+        self._dom: ChildProcess | None = None
         self._began = monotonic()
+
+    def stop_dom(self) -> None:
+        """End the Data Object Manager, if started by this node."""
+        if self._dom is not None:
+            self._dom.stop()
 
     def phase_start(self) -> None:
         """Start the nets, offer the commands, and begin the requested one."""
@@ -246,20 +260,28 @@ class RunNode(PntNode):
         places = [place for net in self._written() for place in net.places.values()]
         names = sorted({place.data_object for place in places if place.data_object is not None})
         if names:
-            self.spawn(self._find_objects(", ".join(names)))
+            self.spawn(self._keep_objects(", ".join(names)))
 
-    async def _find_objects(self, names: str) -> None:
-        """Warn where no node keeps the data objects of the nets."""
-        deadline = monotonic() + DOM_S
-        while monotonic() < deadline:
-            if any(name == "/dom/get" for name, _ in self.get_service_names_and_types()):
-                return
+    async def _keep_objects(self, names: str) -> None:
+        """Start a Data Object Manager whenever no node answers for the data objects of the nets."""
+        found = monotonic()
+        while monotonic() - found < DOM_S:
+            if servers_of(self, "/dom/get"):
+                found = monotonic()
             await pause(self, 0.2)
-        missing = StateError(
-            f"nobody answers for the data objects of the nets ({names}): a Data Object Manager is needed, "
-            "scripts/run.sh im_dom dom --ros-args -p standalone:=true"
-        )
-        self.get_logger().warning(missing.message)
+        if find_spec(DOM) is None:
+            self.get_logger().warning(f"nobody keeps the data objects of the nets ({names}): {DOM} is not installed")
+            return
+        folder = self._folder or run_dir()
+        while True:
+            self._tell(f"no machine keeps the data objects {names}: this program does, in {folder}")
+            self._dom = ChildProcess.of_module(
+                f"{DOM}.ros.node",
+                ["--ros-args", "-p", "standalone:=true"],
+                environment={**os.environ, "IM_RUN_DIR": str(folder)},
+            )
+            while self._dom.poll() is None:
+                await pause(self, 1.0)
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
