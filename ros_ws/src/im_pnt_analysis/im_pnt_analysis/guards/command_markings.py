@@ -1,5 +1,6 @@
 """Markings of the tokens of one command: guards, resources and other commands count as giving way."""
 
+from collections import deque
 from collections.abc import Iterator
 
 from im_pnt.model.action import AwaitAction
@@ -35,9 +36,9 @@ class CommandMarkings:
     def __iter__(self) -> Iterator[tuple[frozenset[str], list[Transition]]]:
         """Yield the marked places and the transitions that these tokens enable, for each marking."""
         found = dict.fromkeys(self._first())
-        pending = list(found)
+        pending = deque(found)
         while pending:
-            marking = pending.pop()
+            marking = pending.popleft()
             tokens = dict(marking)
             enabled = [each for each in self._steps if self._is_enabled(each, tokens)]
             yield frozenset(tokens), [each for each in enabled if each.cancels is None]
