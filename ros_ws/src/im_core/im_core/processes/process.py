@@ -106,15 +106,13 @@ class ChildProcess:
         *,
         log: Path | None = None,
         stdin: str = "",
-        environment: Mapping[str, str] | None = None,
         inherit: Sequence[int] = (),
     ) -> Self:
         """Run a module with ``python -m``, or by the prepared copy; arguments as of the class.
 
         Its name is that of the module.
         """
-        argv = [*_words(module), *arguments]
-        return cls(argv, name=module, log=log, stdin=stdin, environment=environment, inherit=inherit)
+        return cls([*_words(module), *arguments], name=module, log=log, stdin=stdin, inherit=inherit)
 
     def poll(self) -> int | None:
         """Return the exit code, or None while the process runs."""

@@ -2,10 +2,9 @@
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,7 +17,8 @@ from rclpy.validate_node_name import validate_node_name
 
 from im_core import plugins
 from im_core.clock import monotonic
-from im_core.errors import ConfigError, ImError
+from im_core.errors import ConfigError, ImError, StateError
+from im_core.file_lock import FileLock
 from im_core.names import run_dir
 from im_core.processes.end_signals import heed_end_signals
 from im_core.processes.process import ChildProcess
@@ -100,10 +100,10 @@ def _run(
         if options.page:
             page = ChildProcess.of_module(f"{PAGE}.ros.node", ["--ros-args", "-p", "standalone:=true"])
             ends.callback(page.stop)
-        folder = Path(options.journal).resolve() if options.journal else None
-        given = {"standalone": True, "seed": options.seed, "journal_dir": str(folder / "journal") if folder else ""}
+        journal = str(Path(options.journal).resolve() / "journal") if options.journal else ""
+        given = {"standalone": True, "seed": options.seed, "journal_dir": journal}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
-        node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides, folder)
+        node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides)
         spinner = Spinner([node])
         ends.callback(spinner.stop)
         ends.callback(node.stop_dom)
@@ -130,7 +130,6 @@ class RunNode(PntNode):
         order: The command; None: clients bring commands.
         verifier: Says whether nets may run together.
         overrides: Parameters.
-        folder: Keeps the data objects where no machine does; None: the run folder.
 
     Attributes:
         exit_code: That of the process.
@@ -144,14 +143,12 @@ class RunNode(PntNode):
         order: Order | None,
         verifier: Verifier,
         overrides: list[Parameter],
-        folder: Path | None,
     ) -> None:
         super().__init__(name, files, verifier=verifier, parameter_overrides=overrides)
         self.exit_code = OK
         self.finished: Callable[[], None] = lambda: None
         self._order = order
         self._ending, self._obeying = False, order is not None
-        self._folder = folder
         self._dom: ChildProcess | None = None
         self._began = monotonic()
 
@@ -264,22 +261,20 @@ class RunNode(PntNode):
 
     async def _keep_objects(self, names: str) -> None:
         """Start a Data Object Manager whenever no node answers for the data objects of the nets."""
-        found = monotonic()
-        while monotonic() - found < DOM_S:
+        found, lock = monotonic(), None
+        while lock is None:
             if servers_of(self, "/dom/get"):
                 found = monotonic()
+            elif monotonic() - found > DOM_S:
+                if find_spec(DOM) is None:
+                    self.get_logger().warning(f"nobody keeps the data objects {names}: {DOM} is not installed")
+                    return
+                with suppress(StateError):  # another program does it, and is found soon, or has just ended
+                    lock = FileLock(run_dir() / "dom.lock")
             await pause(self, 0.2)
-        if find_spec(DOM) is None:
-            self.get_logger().warning(f"nobody keeps the data objects of the nets ({names}): {DOM} is not installed")
-            return
-        folder = self._folder or run_dir()
         while True:
-            self._tell(f"no machine keeps the data objects {names}: this program does, in {folder}")
-            self._dom = ChildProcess.of_module(
-                f"{DOM}.ros.node",
-                ["--ros-args", "-p", "standalone:=true"],
-                environment={**os.environ, "IM_RUN_DIR": str(folder)},
-            )
+            self._tell(f"no machine keeps the data objects {names}: this program does, in {run_dir()}")
+            self._dom = ChildProcess.of_module(f"{DOM}.ros.node", ["--ros-args", "-p", "standalone:=true"])
             while self._dom.poll() is None:
                 await pause(self, 1.0)
 
