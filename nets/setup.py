@@ -8,7 +8,7 @@ from setuptools import Distribution, setup
 
 from distutils.core import run_setup  # isort: skip  (setuptools brings it)
 
-PACKAGES = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_pnt_display", "im_pnt_node")
+PACKAGES = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_dom", "im_pnt_display", "im_pnt_node")
 HERE = os.path.dirname(os.path.abspath(__file__))
 SOURCES = "../ros_ws/src"
 

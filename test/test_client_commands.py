@@ -245,6 +245,20 @@ def test_im_run_ends_in_words_however_often_it_is_interrupted(ros, wait_until):
     assert process.returncode == 130, said
     assert "no longer waiting; the machine goes on" in said
     assert "Traceback" not in said, said
+    assert said.count("\n") == 2, "each thing is said once"
+
+
+def test_one_interruption_that_comes_twice_at_once_cancels_the_command(ros, wait_until):
+    ros(node := Dying())
+    argv = [sys.executable, "-m", "im_bringup.ros.run_command", "--attach", str(node.numbers[0])]
+    with subprocess.Popen(argv, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: node.begun, "the command")
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
+        wait_until(lambda: node.cancelled, "the cancellation")
+        time.sleep(0.3)
+        assert process.poll() is None, "nobody wanted it to be left alone"
+        process.kill()
 
 
 def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(machine, monkeypatch):

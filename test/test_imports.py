@@ -70,7 +70,7 @@ LIBRARIES = {
 }
 
 #: Packages that install with pip, without the machine, and the distributions that hold what they import.
-ALONE = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_pnt_display", "im_pnt_node")
+ALONE = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_dom", "im_pnt_display", "im_pnt_node")
 DISTRIBUTIONS = {"yaml": "pyyaml", "z3": "z3-solver", "pydantic_core": "pydantic", "lz4": "rosbags"}
 
 HOST_END = "im_cell.link.HostEnd"
@@ -195,6 +195,7 @@ OPEN_FILES = {
     "im_bringup/machine/leftovers.py": "/proc",
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_coordinators/path_search.py": "standard input, from its parent; the log of its own child",
+    "im_core/file_lock.py": "a file that says which process holds it",
     "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",
     "im_sim/urdf_loader.py": "a file in memory, for pybullet",
     "im/machine.py": "a net file of the user, whose text is sent",

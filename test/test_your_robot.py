@@ -1,5 +1,6 @@
 """``docs/tutorials/your_robot.md``: a task over two action servers of standard types, run, killed and resumed."""
 
+import os
 import re
 import signal
 import sys
@@ -20,6 +21,23 @@ FETCHED = ["gripper 0.04", "arm [0.4, -1.2, 0.8]", "gripper 0.01", "arm [0.0, -0
 TYPED = re.findall(r"^\$ (.*)$", PAGE, re.MULTILINE)
 TOY = re.findall(r"^\$ (.*)$", PAGE.partition("## First with a toy\n")[2].partition("\n## ")[0], re.MULTILINE)
 LINES = [line.removeprefix("scripts/im pnt ") for line in TYPED if "my_robot/" in line.replace("your_robot/", "")]
+VISIT = f"""
+net: visit
+include: {ROOT}/docs/nets/parts/steps.yaml
+commands: {{visit: {{arguments: {{points: {{type: numbers, length: [1, 100]}}}}}}}}
+places: {{idle: 1, wanted: , done: , failed: }}
+transitions:
+  begin: {{symbol: visit, in: idle, out: wanted}}
+  go:
+    with: {{for_each: {{count: "${{len(arguments.points)}}"}}}}
+    in: wanted
+    out: done
+    says: go to ${{arguments.points[answers.for_each.index]}}
+    await: {{name: /button, type: std_msgs/msg/Empty}}
+    on_failure: failed
+  tell: {{in: done, out: idle, emit: visit_done}}
+  give_up: {{in: failed, out: idle, emit: visit_failed}}
+"""
 
 
 @pytest.fixture
@@ -159,6 +177,29 @@ def test_a_message_that_is_awaited_is_awaited_again_after_a_death(robot, line, w
     (robot / "pressed").touch()
     wait_until(lambda: again.poll() is not None, "the end")
     assert (again.returncode, "begin done" in again.out.read_text()) == (0, True), again.out.read_text()
+
+
+def test_a_loop_needs_no_machine_and_outlives_its_process_and_that_of_its_data(robot, line, wait_until):
+    (robot / "visit.yaml").write_text(VISIT)
+    (robot / "pressed").touch()
+    text = f"run {robot}/visit.yaml --symbol visit --arg points=[{'4.0,' * 50}7.0] --journal {robot}/state"
+    killed = line(text)
+    wait_until(lambda: killed.out.read_text().count("go to 4.0") > 2, "some of the points")
+    killed.kill()
+    killed.wait()
+    again = line(text)
+    wait_until(lambda: again.out.read_text().count("go to 4.0") > 2, "some more of the points")
+    (keeper,) = Path(f"/proc/{again.pid}/task/{again.pid}/children").read_text().split()
+    os.kill(int(keeper), signal.SIGKILL)
+    wait_until(lambda: again.poll() is not None, "the end")
+    told = [each.out.read_text() for each in (killed, again)]
+    assert (again.returncode, told[1].count("this program does"), "visit done" in told[1]) == (0, 2, True), told[1]
+    assert 50 <= sum(each.count("go to 4.0") for each in told) <= 52, "one that was under way is told again"
+    assert sorted(each.name for each in (robot / "state").iterdir() if each.is_dir()) == [
+        "commands",
+        "ended",
+        "journal",
+    ]
 
 
 def test_a_command_with_other_arguments_is_not_taken_for_the_one_that_goes_on(tmp_path, line, wait_until):

@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/im_dom"]),
         ("share/im_dom", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "im_core", "pydantic"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
@@ -18,8 +18,6 @@ setup(
     description="The Data Object Manager: globally available data, each object with its validity.",
     license="MIT",
     entry_points={
-        "console_scripts": [
-            "dom=im_dom.ros.node:main",
-        ],
+        "console_scripts": ["dom = im_dom.ros.node:main"],
     },
 )

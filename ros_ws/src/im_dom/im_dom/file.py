@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from im_core.clock import stamp_name
-from im_core.errors import DataError, StoreError
+from im_core.errors import DataError, StateError, StoreError
+from im_core.file_lock import FileLock
 from im_core.files import MEBIBYTE, make_folder, move
 from im_core.store_mark import StoreMark
 from im_dom.object_record import Damage
@@ -55,6 +56,7 @@ class StoreFile:
 
     Raises:
         DataError: It cannot be opened.
+        StateError: Another process has opened it.
         StoreError: It cannot be used, and not be moved aside.
     """
 
@@ -65,6 +67,7 @@ class StoreFile:
         self.aside = ""
         found: Salvage | None = None
         if self._path is not None:
+            self._lock = _lock(self._path)
             found = self._check(self._path)
         try:
             self.db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
@@ -149,6 +152,8 @@ class StoreFile:
             self._reader.close()
         if self._list is not None:
             self._list.close()
+        if self._path is not None:
+            self._lock.release()
 
     def _check(self, path: Path) -> Salvage | None:
         """Look for damage; if there is any, set the files aside and return the intact content.
@@ -250,6 +255,23 @@ def _fault(path: Path, listed: Listed | None) -> _Fault:
         if error.sqlite_errorcode & 0xFF in _UNREADABLE:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         return _Fault(f"is damaged ({error})", file=True)
+
+
+def _lock(path: Path) -> FileLock:
+    """Take a file for the own process: of two writers each would number its transactions as the other does.
+
+    Raises:
+        DataError: It cannot be locked.
+        StateError: Another process has it.
+    """
+    try:
+        return FileLock(path.with_name(f"{path.name}.lock"))
+    except StateError as error:
+        held = f"the object store {path} is in use by process {error.facts['pid']}: one /dom keeps it"
+        raise StateError(held, **error.facts) from error
+    except StoreError as error:
+        reason = error.facts["reason"]
+        raise DataError(f"the object store {path} cannot be opened: {reason}", file=str(path)) from error
 
 
 def _read_only(path: Path) -> sqlite3.Connection:

@@ -1,9 +1,11 @@
 """The object store without ROS."""
 
+import os
 import sqlite3
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from shutil import copytree, ignore_patterns, rmtree
 from tempfile import TemporaryDirectory
 
 import pytest
@@ -142,6 +144,16 @@ def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
 def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"dom\.sqlite cannot be opened"):
         ObjectStore(tmp_path / "nowhere" / "dom.sqlite")
+
+
+def test_a_second_keeper_of_a_file_is_refused_by_the_process_of_the_first(tmp_path: Path) -> None:
+    with closing(ObjectStore(tmp_path / "dom.sqlite")) as store:
+        put(store, "a", b"1")
+        with pytest.raises(StateError, match=f"in use by process {os.getpid()}"):
+            ObjectStore(tmp_path / "dom.sqlite")
+        put(store, "a", b"2")
+    with closing(ObjectStore(tmp_path / "dom.sqlite")) as store:
+        assert store.get("a")[1] == b"2"
 
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=30))
@@ -328,7 +340,9 @@ def test_what_is_in_memory_is_what_is_on_the_disk(groups: list[list[tuple[str, s
                     }[what]
                 )
             store.together(works)
-            anew = ObjectStore(Path(folder) / "dom.sqlite")
+            copy = Path(folder) / "copy"
+            copytree(folder, copy, ignore=ignore_patterns("copy"))
+            anew = ObjectStore(copy / "dom.sqlite")
             assert anew.records() == store.records()
             for record in anew.records():
                 if not record.valid:
@@ -341,6 +355,7 @@ def test_what_is_in_memory_is_what_is_on_the_disk(groups: list[list[tuple[str, s
             for name in {"a", "b", "below/a", "below/b"} - {record.name for record in anew.records()}:
                 assert store.cached(name) is None
             anew.close()
+            rmtree(copy)
         store.close()
 
 

@@ -105,12 +105,29 @@ def test_an_arm_under_an_impedance_is_at_rest_where_its_load_has_pushed_it(laden
     assert off > 2.0 * bench.mcs.config.servo.settle.still_tolerance
 
 
+def test_each_wrist_of_a_group_of_two_carries_its_own(make_bench, frictionless, cell):
+    bench = make_bench(frictionless.with_preset("1x18"))
+    bench.to_motion("testbed")
+    model, truth = bench.mcs.control_model, ControlledModel(cell)
+    given = {"group": "testbed", "center": [0.0, 0.05, 0.1], "inertia": [0.0] * 6}
+    for wrist, mass in (("right_wrist", 1.5), ("left_wrist", 0.5)):
+        assert bench.ask("set_payload", wrist=wrist, mass=mass, **given)["success"]
+        truth.set_payload(wrist, Payload(mass, (0.0, 0.05, 0.1)), 1)
+        truth.advance()
+        np.testing.assert_allclose(model.gravity(cell.home), truth.gravity(cell.home), atol=1e-9)
+    for wrist, sentence in (("", "left_wrist and right_wrist"), ("left_wrist_", "left_wrist, right_wrist")):
+        reply = bench.ask("set_payload", wrist=wrist, mass=1.0, **given)
+        assert sentence in reply["error"]["message"]
+    np.testing.assert_allclose(model.gravity(cell.home), truth.gravity(cell.home), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"mass": 3.0}, "mass 3 kg is beyond the limit 2.5 kg"),
         ({"group": "testbed"}, "no group 'testbed'"),
         ({"group": "right"}, "'right' is not reserved"),
+        ({"wrist": "right_wrist"}, "right_wrist"),
         ({"inertia": [1e-3, 0.0, 0.0, 1e-3, 0.0, 1.0]}, "triangle inequality"),
     ],
 )

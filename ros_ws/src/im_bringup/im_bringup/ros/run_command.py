@@ -48,6 +48,9 @@ MOST_NUMBER = 2**32 - 1
 MOST_SHOWN = 1000
 #: How long a silent dispatcher is waited for [s]: one that died is started again in a few seconds, or later.
 SILENCE_S = 60.0
+#: So long after a signal to end [s] another one is the same: a terminal tells a script and its client, and the script
+#: tells the client again.
+_ONE_INTERRUPT_S = 0.5
 #: Reads the commands of a deployment from their net files, where no machine tells them.
 _READER = "im_dispatcher.commands:describe_named"
 
@@ -211,6 +214,7 @@ def follow(command: Command, as_json: bool) -> None:
                 raise
             print("im run: cancelling the command; interrupt again to leave it alone", file=sys.stderr)
             command.cancel()
+            command.wait(_ONE_INTERRUPT_S)
             interrupt_once()
 
 

@@ -413,9 +413,14 @@ class SetControllerRequest(ServoRequest):
 
 
 class SetPayloadRequest(ServoRequest):
-    """Set the load of the wrist of a group: mass [kg], centre [m], inertia about the centre [kg m2]."""
+    """Set the load of a wrist of a group: mass [kg], centre [m], inertia about the centre [kg m2].
+
+    Attributes:
+        wrist: Its frame; empty: the group has one.
+    """
 
     group: Text
+    wrist: Text = ""
     mass: Amount
     center: Annotated[list[Finite], Field(min_length=3, max_length=3, description="3 finite numbers")]
     inertia: Annotated[

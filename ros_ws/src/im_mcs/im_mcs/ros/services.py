@@ -211,13 +211,14 @@ class MotionServices:
         self._mcs.group(request.group)
         arguments = {
             "group": request.group,
+            "wrist": request.wrist,
             "mass": payload.m,
             "center": [payload.com.x, payload.com.y, payload.com.z],
             "inertia": [getattr(payload, name) for name in _INERTIA],
             "sender": await self._mcs.sender(client),
         }
         await self._mcs.request(Event.SET_PAYLOAD, arguments)
-        return f"{request.group} carries {payload.m:g} kg"
+        return f"{request.wrist or request.group} carries {payload.m:g} kg"
 
     async def _set_controller(self, request: SetController.Request, _: object, client: str) -> str:
         parameters = parse_model(request.parameters or "{}", LawParameters, "parameters").root

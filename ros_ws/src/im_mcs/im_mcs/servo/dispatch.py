@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from im_core.errors import ImError, StateError
+from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.group import ControlledGroup
 from im_mcs.group.goals import Goal
@@ -270,9 +270,14 @@ class Dispatch:
 
     def _set_payload(self, request: SetPayloadRequest) -> None:
         group, config = self._owned(request.group, request.sender).name, self._mcs.config
-        wrist = config.groups[group].wrist
-        if wrist is None:
+        wrists = config.groups[group].frames
+        if not wrists:
             raise StateError(f"group '{group}' has no wrist that could carry a payload", group=group)
+        if not request.wrist and len(wrists) > 1:
+            raise DataError(f"group '{group}' has the wrists {' and '.join(wrists)}: name the one that carries it")
+        wrist = request.wrist or wrists[0]
+        if wrist not in wrists:
+            raise NotFoundError(kind=f"wrist of group '{group}'", name=wrist, known=wrists)
         limits = config.payload
         payload = Payload.checked(request.mass, request.center, request.inertia, limits.rated_kg, limits.reach_m)
         ticks = round(config.switching.handover_s / config.servo.period_s)

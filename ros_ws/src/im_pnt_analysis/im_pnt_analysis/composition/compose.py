@@ -272,7 +272,10 @@ def open_guards(net: Net, decided: frozenset[str]) -> Iterator[str]:
         rivals = (
             t
             for t in net.transitions.values()
-            if t.inputs.keys() & transition.inputs.keys() and t != transition and _beside_work(t, resources) == needs
+            if t.inputs
+            and t.inputs.keys() <= transition.inputs.keys()  # of more tokens one may be missing
+            and t != transition
+            and _beside_work(t, resources) == needs
         )
         if not any(t.guard == opposite or (t.guard is None and t.symbol is None) for t in rivals):
             waits.append(f"'{transition.guard}' ({transition.origin})")

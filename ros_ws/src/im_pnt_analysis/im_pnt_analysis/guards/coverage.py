@@ -1,6 +1,7 @@
-"""Proof that guards leave no token waiting for ever: for each value at each place, one guard holds."""
+"""Proof that guards leave no command waiting for ever: for each value at each marking, one guard holds."""
 
 import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -15,6 +16,7 @@ from im_pnt.expression.syntax import Binary, Literal
 from im_pnt.expression.template import OPENS, nodes, references
 from im_pnt.expression.types import ANY, NoTypes, ValueType, installed_types
 from im_pnt.model.net import Guard, Net, ObjectScope, Place, Role, Transition
+from im_pnt_analysis.guards.command_markings import CommandMarkings, may_never_fire
 from im_pnt_analysis.guards.formula import Bounds, Formulas, ValueKnowledge
 from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways, named
 
@@ -139,7 +141,7 @@ def _decided(key: _SameNet) -> "GuardCoverage":
 
 
 class GuardCoverage:
-    """Places of a net where a token waits for guarded transitions alone.
+    """Markings of a command where its tokens wait for guarded transitions alone.
 
     Arguments, answers, failures, and data objects that the net itself stores stay as they are while a token waits: a
     net whose guards leave a value of these out is refused. Other data objects and enabling functions in Python may
@@ -171,28 +173,30 @@ class GuardCoverage:
         self.granted: set[str] = set()
 
     def check(self) -> None:
-        """Decide all places.
+        """Decide all guards at all markings of each command and service.
 
         Raises:
-            NetError: For some value no guard of a place holds; names the value, the place, and the lines.
+            NetError: For some value no guard holds at a marking; names the value, a place, and the lines.
         """
         decided: dict[str, bool] = {}
         found: dict[str, Ways] = {}
         apart: dict[tuple[str, ...], bool] = {}
         for kind in (*self._net.begun_symbols(), *self._net.services):
-            ways = self._knowledge.ways(kind)
-            found[kind] = ways
-            for place in sorted(ways):
-                guarded = self._guarded(place, kind)
-                if guarded:
-                    at = self._at(guarded, ways)
-                    proved = all(self._covers(place, kind, guarded, known) for known in at)
-                    if proved and self._differ(guarded):
-                        names = tuple(each.name for each in guarded)
-                        several = apart.get(names, True) and all(self._are_apart(kind, guarded, known) for known in at)
-                        proved = apart[names] = several and not self._looked_at(guarded[0])
-                    for transition in guarded:
-                        decided[transition.name] = decided.get(transition.name, True) and proved
+            if not any(t.guard and self._knowledge.serves(t, kind) for t in self._net.transitions.values()):
+                continue
+            ways = found[kind] = self._knowledge.ways(kind)
+            markings = CommandMarkings(self._net, self._knowledge, kind)
+            looked: dict[tuple[str, ...], bool] = {}
+            for places, enabled in markings:
+                guarded, undecided = self._guarded(places, enabled)
+                decided |= dict.fromkeys(undecided, False)
+                decided = {each.name: True for each in enabled if each.guard is not None} | decided
+                names = tuple(each.name for each in guarded)
+                if guarded and names not in looked:
+                    looked[names] = self._is_covered(kind, guarded, ways, apart)
+                decided |= {name: decided[name] and looked[names] for name in names}
+            if not markings.complete:
+                decided |= {t.name: False for t in self._net.transitions.values() if self._knowledge.serves(t, kind)}
         self.decided = {name for name, proved in decided.items() if proved}
         self.choices = [names for names, several in apart.items() if several and self.decided.issuperset(names)]
         for each in (self._net.transitions[name] for names in self.choices for name in names):
@@ -200,25 +204,55 @@ class GuardCoverage:
             if all(self._is_never(kind, each, ways) for kind, ways in serving):
                 self.never.add(each.name)
 
-    def _guarded(self, place: str, kind: str) -> list[Transition]:
-        """Return the takers of a place if all have guards, and need the same tokens, and nothing else moves one."""
-        net = self._net
-        if place in self._knowledge.resources:
-            return []
-        takers = [t for t in net.transitions.values() if place in t.inputs and self._knowledge.serves(t, kind)]
-        ends = any(place in (service.done, service.failed) for service in net.services.values())
-        if ends or net.places[place].on_invalid or len({self._needs(each) for each in takers}) != 1:
-            return []
-        if any(each.guard is None or each.symbol is not None for each in takers):
-            return []
-        return takers
+    def _guarded(self, places: frozenset[str], enabled: list[Transition]) -> tuple[list[Transition], list[str]]:
+        """Return the guarded transitions that alone move a marking, and the names of those that nothing decides.
+
+        Nothing decides a guard beside a transition that may never fire, or over a token that may leave with its object.
+        """
+        if any({service.done, service.failed} & places for service in self._net.services.values()):
+            return [], []
+        loose = [each for each in enabled if may_never_fire(each)]
+        if any(each.guard is None and each not in loose for each in enabled):
+            return [], []
+        leaving = {place for place in places if place in self._net.places and self._net.places[place].on_invalid}
+        leaving = leaving.union(*(self._knowledge.work_inputs(each) for each in loose))
+        guarded = [each for each in enabled if each.guard is not None and each not in loose]
+        alone = [each for each in guarded if not self._knowledge.work_inputs(each) & leaving]
+        return alone, [each.name for each in guarded if each not in alone]
+
+    def _is_covered(self, kind: str, guarded: list[Transition], ways: Ways, apart: dict[tuple[str, ...], bool]) -> bool:
+        """Return whether for each value one of some guards holds; note which choices have just one.
+
+        Raises:
+            NetError: None holds for some value.
+        """
+        covered = False not in [self._covers(kind, guarded, known) for known in self._at(guarded, ways)]
+        for several in filter(self._differ, self._contending(guarded)):
+            exact = len({self._needs(each) for each in several}) == 1 and not self._looked_at(several[0])
+            exact = exact and all(self._are_apart(kind, several, known) for known in self._at(several, ways))
+            names = tuple(each.name for each in several)
+            apart[names] = exact = exact and apart.get(names, True)
+            covered = covered and exact
+        return covered
+
+    def _contending(self, guarded: list[Transition]) -> Iterator[list[Transition]]:
+        """Yield the groups of transitions that contend for tokens."""
+        left = guarded
+        while left:
+            group, places = [left[0]], set(self._knowledge.work_inputs(left[0]))
+            while more := [t for t in left if t not in group and places & self._knowledge.work_inputs(t)]:
+                group += more
+                places.update(*(self._knowledge.work_inputs(each) for each in more))
+            yield [each for each in left if each in group]
+            left = [each for each in left if each not in group]
 
     def _needs(self, transition: Transition) -> frozenset[tuple[str, int]]:
         """Return the tokens of the command that a transition takes."""
         return frozenset((place, transition.inputs[place]) for place in self._knowledge.work_inputs(transition))
 
     def _at(self, guarded: list[Transition], ways: Ways) -> frozenset[TokenKnowledge]:
-        return self._knowledge.together(self._knowledge.work_inputs(guarded[0]), ways)
+        places = frozenset[str]().union(*(self._knowledge.work_inputs(each) for each in guarded))
+        return self._knowledge.together(places, ways)
 
     def _differ(self, guarded: list[Transition]) -> bool:
         """Return whether transitions need different things beside the tokens of the command."""
@@ -255,10 +289,12 @@ class GuardCoverage:
                     return False
         return possible
 
-    def _covers(self, place: str, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
+    def _covers(self, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
         with _one_at_a_time:
             values = self._left_out(guarded, known, self._given(kind, guarded, known))
         if values:
+            takers = Counter(place for each in guarded for place in sorted(self._knowledge.work_inputs(each)))
+            place = max(sorted(takers), key=takers.__getitem__)
             lines = [str(each.line) for each in guarded if each.line]
             where = f" ({self._net.source}:{', :'.join(lines)})" if lines else ""
             text = (

@@ -104,7 +104,7 @@ class Knowledge:
     def _outcomes(
         self, transition: Transition, kind: str, found: Ways
     ) -> Iterator[tuple[str, frozenset[TokenKnowledge]]]:
-        begins = self._begins(transition, kind)
+        begins = self.begins(transition, kind)
         before = frozenset({TokenKnowledge()}) if begins else self.together(self.work_inputs(transition), found)
         if transition.guard is not None:
             before = _learned(before, self._facts(transition.guard))
@@ -128,8 +128,13 @@ class Knowledge:
             for other in self._net.places[place].on_invalid if place in self._net.places else ():
                 yield other, frozenset(TokenKnowledge(_without(e.facts, "failure"), e.answered) for e in after)
 
-    def _begins(self, transition: Transition, kind: str) -> bool:
+    def begins(self, transition: Transition, kind: str) -> bool:
+        """Return whether a transition begins a command with its symbol."""
         return transition.symbol == kind and transition.symbol_of is None
+
+    def ends(self, transition: Transition) -> list[Arcs]:
+        """Return the arcs of each end of a transition: its outputs, and those of a failure and of a doubt."""
+        return [transition.outputs, *self._failing(transition)]
 
     def _failing(self, transition: Transition) -> list[Arcs]:
         """Return the arcs of a failure, and of a doubt."""
@@ -158,14 +163,14 @@ class Knowledge:
         """
         steps: list[tuple[Arcs, Arcs]] = []
         for transition in serving:
-            needed = {} if self._begins(transition, kind) else self._work(transition.inputs)
+            needed = {} if self.begins(transition, kind) else self.work(transition.inputs)
             if any(self._given(transition)):
                 steps.append((needed, {_active(transition): 1}))
                 needed = {_active(transition): 1}
-            steps.append((needed, self._work(transition.outputs)))
-            steps += [(needed, self._work(arcs)) for arcs in self._failing(transition)]
+            steps.append((needed, self.work(transition.outputs)))
+            steps += [(needed, self.work(arcs)) for arcs in self._failing(transition)]
         for place in self._net.places.values():
-            steps += [({place.name: 1}, self._work(dict.fromkeys(place.on_invalid, 1)))] if place.on_invalid else []
+            steps += [({place.name: 1}, self.work(dict.fromkeys(place.on_invalid, 1)))] if place.on_invalid else []
         entry = {self._net.services[kind].entry} if kind in self._net.services else set[str]()
         pairs = _marked_together(steps, entry)
         found: dict[str, frozenset[Name]] = {}
@@ -176,7 +181,8 @@ class Knowledge:
                         found[other] = found.get(other, frozenset()) | {name}
         return found
 
-    def _work(self, arcs: Arcs) -> dict[str, int]:
+    def work(self, arcs: Arcs) -> dict[str, int]:
+        """Return the arcs of places that are no resources."""
         return {place: weight for place, weight in arcs.items() if place not in self.resources}
 
 

@@ -1,12 +1,12 @@
 """The files of a journal: a folder held by one process, with append-only files."""
 
 import contextlib
-import fcntl
 import os
 from pathlib import Path
 from typing import Protocol
 
-from im_core.errors import StoreError
+from im_core.errors import StateError, StoreError
+from im_core.file_lock import FileLock
 from im_core.files import make_folder, synchronise_names
 from im_pnt.errors import JournalError
 
@@ -105,7 +105,7 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = str(path)
-        self._lock: int | None = None
+        self._lock: FileLock | None = None
         try:
             make_folder(path)
         except StoreError as error:
@@ -118,32 +118,19 @@ class Folder:
             JournalError: Another process has it; names its id.
         """
         try:
-            lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # any user who may read it could hold it
-        except OSError as error:
-            raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            told = b""
-            with contextlib.suppress(OSError):
-                told = os.read(lock, 32)
-                os.close(lock)
-            holder = told.decode("ascii", "replace").strip() or "unknown"
+            self._lock = FileLock(self.path / LOCK)
+        except StateError as error:
+            holder = error.facts["pid"]
             text = f"{self.name}: the journal is in use by process {holder}; a journal belongs to one process"
             raise JournalError(text, file=self.name, pid=holder) from error
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                os.close(lock)
-            raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
-        with contextlib.suppress(OSError):  # a disk that is full: the lock holds, though it does not say whose it is
-            os.ftruncate(lock, 0)
-            os.write(lock, b"%d\n" % os.getpid())
-        self._lock = lock
+        except StoreError as error:
+            text = f"{self.name}: the journal cannot be locked: {error.facts['reason']}"
+            raise JournalError(text, file=self.name) from error
 
     def unlock(self) -> None:
         """Give the folder back."""
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.release()
             self._lock = None
 
     def names(self) -> list[str]:

@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,9 +18,12 @@ from rclpy.validate_node_name import validate_node_name
 from im_core import plugins
 from im_core.clock import monotonic
 from im_core.errors import ConfigError, ImError, StateError
+from im_core.file_lock import FileLock
+from im_core.names import run_dir
 from im_core.processes.end_signals import heed_end_signals
 from im_core.processes.process import ChildProcess
 from im_core.ros.calls import pause
+from im_core.ros.peers.servers import servers_of
 from im_core.ros.run import Spinner
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
@@ -45,8 +48,9 @@ Exit code: 0 done, 1 the command failed or the nets are refused, 2 a file, an op
 
 OK, REFUSED, BAD_INPUT = 0, 1, 2
 VERIFIER = "im_pnt_analysis:verify_to_load"
-PAGE = "im_pnt_display"
-DOM_S = 5.0
+PAGE, DOM = "im_pnt_display", "im_dom"
+DOM_S = 2.0
+"""How long no Data Object Manager may be in the graph before this program starts one [s]."""
 PATIENCE_S = 3.0
 """How long cancelled commands may go on without any action under way [s]: the process ends within 5 s."""
 _LOOK_S = 0.05
@@ -96,12 +100,13 @@ def _run(
         if options.page:
             page = ChildProcess.of_module(f"{PAGE}.ros.node", ["--ros-args", "-p", "standalone:=true"])
             ends.callback(page.stop)
-        journal = str(Path(options.journal).resolve()) if options.journal else ""
+        journal = str(Path(options.journal).resolve() / "journal") if options.journal else ""
         given = {"standalone": True, "seed": options.seed, "journal_dir": journal}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides)
         spinner = Spinner([node])
         ends.callback(spinner.stop)
+        ends.callback(node.stop_dom)
         node.finished = spinner.request_stop
         heed_end_signals(lambda _: node.interrupt())
         spinner.spin()
@@ -144,7 +149,13 @@ class RunNode(PntNode):
         self.finished: Callable[[], None] = lambda: None
         self._order = order
         self._ending, self._obeying = False, order is not None
+        self._dom: ChildProcess | None = None
         self._began = monotonic()
+
+    def stop_dom(self) -> None:
+        """End the Data Object Manager, if started by this node."""
+        if self._dom is not None:
+            self._dom.stop()
 
     def phase_start(self) -> None:
         """Start the nets, offer the commands, and begin the requested one."""
@@ -246,20 +257,26 @@ class RunNode(PntNode):
         places = [place for net in self._written() for place in net.places.values()]
         names = sorted({place.data_object for place in places if place.data_object is not None})
         if names:
-            self.spawn(self._find_objects(", ".join(names)))
+            self.spawn(self._keep_objects(", ".join(names)))
 
-    async def _find_objects(self, names: str) -> None:
-        """Warn where no node keeps the data objects of the nets."""
-        deadline = monotonic() + DOM_S
-        while monotonic() < deadline:
-            if any(name == "/dom/get" for name, _ in self.get_service_names_and_types()):
-                return
+    async def _keep_objects(self, names: str) -> None:
+        """Start a Data Object Manager whenever no node answers for the data objects of the nets."""
+        found, lock = monotonic(), None
+        while lock is None:
+            if servers_of(self, "/dom/get"):
+                found = monotonic()
+            elif monotonic() - found > DOM_S:
+                if find_spec(DOM) is None:
+                    self.get_logger().warning(f"nobody keeps the data objects {names}: {DOM} is not installed")
+                    return
+                with suppress(StateError):  # another program does it, and is found soon, or has just ended
+                    lock = FileLock(run_dir() / "dom.lock")
             await pause(self, 0.2)
-        missing = StateError(
-            f"nobody answers for the data objects of the nets ({names}): a Data Object Manager is needed, "
-            "scripts/run.sh im_dom dom --ros-args -p standalone:=true"
-        )
-        self.get_logger().warning(missing.message)
+        while True:
+            self._tell(f"no machine keeps the data objects {names}: this program does, in {run_dir()}")
+            self._dom = ChildProcess.of_module(f"{DOM}.ros.node", ["--ros-args", "-p", "standalone:=true"])
+            while self._dom.poll() is None:
+                await pause(self, 1.0)
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
