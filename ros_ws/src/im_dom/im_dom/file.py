@@ -267,8 +267,9 @@ def _lock(path: Path) -> FileLock:
     try:
         return FileLock(path.with_name(f"{path.name}.lock"))
     except StateError as error:
-        held = f"the object store {path} is in use by process {error.facts['pid']}: one /dom keeps it"
-        raise StateError(held, **error.facts) from error
+        holder = error.facts["pid"]
+        held = f"the object store {path} is in use by process {holder}: one /dom keeps it"
+        raise StateError(held, file=str(path), pid=holder) from error
     except StoreError as error:
         reason = error.facts["reason"]
         raise DataError(f"the object store {path} cannot be opened: {reason}", file=str(path)) from error
