@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _FACTORS = np.geomspace(1e-2, 1.0, 41)
 _USUAL = 0.2
 _GAIN = 4.0
+_EVEN, _IGNORED = 0.5, 0.05  # probabilities of an error of the arm: before the data, and of too little to count
+_REPEATABILITY = 1e-4  # share of the extent of its positions to which no arm, calibrated or not, knows them
 _ROUNDS, _CONVERGED = 4, 0.1
 _NONE, _LEAST = 16.0, 1e-3
 
@@ -59,9 +61,9 @@ def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
     """Return the fit with the smooth error of the arm that the residuals show.
 
-    Where the noise of the robot is stated, and the kinematics of the arm are not given, the data have to show the
-    error; if they do not, the fit is unchanged. Otherwise an arm has such an error, of a size that the data leave
-    possible.
+    An arm has such an error, of a size that the data leave possible. Where the noise of the robot is stated, as more
+    than arms repeat a place, and the kinematics are not given, it may have none: both are as likely before. If the data
+    then leave little of the error, the fit is unchanged.
 
     Args:
         gated: A fit without such an error, or with a usual one.
@@ -70,31 +72,24 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
     """
     if problem.placements is not None and problem.arm_jacobians is None and problem.placements.arm is None:
         return Explanation(problem, ParameterLayout.of(problem), gated)  # a target without a robot
-    robot_known = robot_known and problem.arm_jacobians is None
     whole = _largest(problem)
+    known = robot_known and problem.arm_jacobians is None and not _repeatability_alone(problem)
+    before_data = _EVEN if known else 1.0
     factors = np.zeros(len(whole.sizes)) if problem.arm_error is None else problem.arm_error.sizes / whole.sizes
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
-        before, factors = factors, _factors(found, whole, robot_known=robot_known)
+        before, factors = factors, _factors(found, whole, before_data)
         if np.all(abs(factors - before) <= _CONVERGED * before):
             break
         bent = replace(problem, arm_error=whole.times(factors) if factors.any() else None)
         layout = ParameterLayout.of(bent)
         unknowns = found.gated.fit.unknowns
-        known = before.any() and factors.any()
-        scaled = unknowns.arm_error * (before / factors)[whole.kinds] if known else np.zeros(layout.arm)
+        again = before.any() and factors.any()
+        scaled = unknowns.arm_error * (before / factors)[whole.kinds] if again else np.zeros(layout.arm)
         found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
         if not factors.any():
             break
-    if problem.placements is not None:
-        return found
-    try:
-        if found.problem.arm_error is None or not robot_known or _preferred(found):
-            return found
-    except np.linalg.LinAlgError:
-        pass  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
-    plain = replace(problem, arm_error=None)
-    return Explanation(plain, ParameterLayout.of(plain), gated)
+    return found
 
 
 def _largest(problem: CalibrationProblem) -> ArmError:
@@ -104,17 +99,20 @@ def _largest(problem: CalibrationProblem) -> ArmError:
     return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
 
 
-def _preferred(found: Explanation) -> bool:
-    """Check whether a smooth error explains the spots better than any noise of image and robot does."""
-    unknowns, used = found.gated.fit.unknowns, found.gated.used
-    plain = replace(found.problem, arm_error=None)
-    without = NoiseLikelihood(replace(unknowns, arm_error=np.zeros(0)), plain, ParameterLayout.of(plain), used)
-    smooth = NoiseLikelihood(unknowns, found.problem, found.layout, used)
-    return bool(without.least() - smooth.least() > _GAIN)
+def _repeatability_alone(problem: CalibrationProblem) -> bool:
+    """Check whether the stated noise is what an arm repeats a place to, which is less than it is off."""
+    noise = np.trace(problem.position_covariances, axis1=1, axis2=2).mean() / 3.0
+    return bool(0.0 < noise < _REPEATABILITY**2 * problem.positions.var(axis=0).sum())
 
 
-def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array:
-    """Return factors on the largest error: of greatest likelihood, 0 where none is needed; or the mean of the rest."""
+def _factors(found: Explanation, whole: ArmError, before_data: float) -> Array:
+    """Return factors on the largest error: the mean of what the data leave possible, 0 where that is too little.
+
+    Args:
+        found: A fit.
+        whole: The largest error.
+        before_data: Probability that there is an error, before the data; each size is as likely then.
+    """
     problem = replace(found.problem, arm_error=whole)
     layout = ParameterLayout.of(problem)
     unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
@@ -146,14 +144,12 @@ def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array
     left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)
     noise = np.maximum(left / freedom, 1e-12)
     deviance = freedom * np.log(noise) + left / noise + np.log1p(t2 * d).sum(axis=1)
-    best = int(np.argmin(deviance))
-    if not robot_known:
-        possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
-        sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
-        return np.asarray(np.sqrt((possible * sizes).sum(keepdims=True) / possible.sum()))
-    if deviance[0] - deviance[best] < _GAIN:
+    likelihood = np.exp(-0.5 * (deviance - deviance.min()))
+    possible = before_data * _FACTORS / _FACTORS.sum() * likelihood[1:]  # alike for each size, not each logarithm
+    every = possible.sum() + (1.0 - before_data) * likelihood[0]
+    if possible.sum() < _IGNORED * every:
         return np.zeros(1)
-    return np.asarray(np.minimum(np.sqrt(t2[best] * noise[best]), 1.0))
+    return np.asarray(np.sqrt((possible * np.minimum(t2[1:, 0] * noise[1:], 1.0)).sum(keepdims=True) / every))
 
 
 def _of_readings(likelihood: NoiseLikelihood) -> Array:
