@@ -61,8 +61,8 @@ def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
     """Return the fit with the smooth error of the arm that the residuals show.
 
-    An arm has such an error, of a size that the data leave possible. Where the noise of the robot is stated, as more
-    than arms repeat a place, and the kinematics are not given, it may have none: both are as likely before. If the data
+    An arm has such an error, of a size that the data leave possible. Where the kinematics are not given, and the noise
+    of the robot is stated, as more than arms repeat a place, it may have none: both are as likely before. If the data
     then leave little of the error, the fit is unchanged.
 
     Args:
@@ -73,8 +73,7 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
     if problem.placements is not None and problem.arm_jacobians is None and problem.placements.arm is None:
         return Explanation(problem, ParameterLayout.of(problem), gated)  # a target without a robot
     whole = _largest(problem)
-    known = robot_known and problem.arm_jacobians is None and not _repeatability_alone(problem)
-    before_data = _EVEN if known else 1.0
+    before_data = _before_data(problem) if robot_known and problem.arm_jacobians is None else 1.0
     factors = np.zeros(len(whole.sizes)) if problem.arm_error is None else problem.arm_error.sizes / whole.sizes
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
@@ -99,10 +98,12 @@ def _largest(problem: CalibrationProblem) -> ArmError:
     return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
 
 
-def _repeatability_alone(problem: CalibrationProblem) -> bool:
-    """Check whether the stated noise is what an arm repeats a place to, which is less than it is off."""
+def _before_data(problem: CalibrationProblem) -> float:
+    """Return the probability of an error of the arm before the data, by the stated noise of the robot."""
     noise = np.trace(problem.position_covariances, axis1=1, axis2=2).mean() / 3.0
-    return bool(0.0 < noise < _REPEATABILITY**2 * problem.positions.var(axis=0).sum())
+    if noise == 0.0:
+        return _IGNORED  # the positions are said to be exact: only data that speak for an error make it count
+    return 1.0 if noise < _REPEATABILITY**2 * problem.positions.var(axis=0).sum() else _EVEN
 
 
 def _factors(found: Explanation, whole: ArmError, before_data: float) -> Array:
