@@ -52,9 +52,9 @@ class Explanation:
 
 def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
     """Return the problem with a usual error of the arm, where such an error is expected: gates need some size."""
-    if problem.arm_jacobians is None and (problem.placements is None or problem.placements.arm is None):
+    if problem.arm_jacobians is None and problem.reading_error is None:
         return problem
-    whole = _largest(problem)
+    whole = problem.largest_arm_error
     return replace(problem, arm_error=whole.times(np.full(len(whole.sizes), _USUAL)))
 
 
@@ -70,9 +70,9 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
-    if problem.placements is not None and problem.arm_jacobians is None and problem.placements.arm is None:
+    if problem.placements is not None and problem.arm_jacobians is None and problem.reading_error is None:
         return Explanation(problem, ParameterLayout.of(problem), gated)  # a target without a robot
-    whole = _largest(problem)
+    whole = problem.largest_arm_error
     before_data = _before_data(problem) if robot_known and problem.arm_jacobians is None else 1.0
     factors = np.zeros(len(whole.sizes)) if problem.arm_error is None else problem.arm_error.sizes / whole.sizes
     found = Explanation(problem, ParameterLayout.of(problem), gated)
@@ -89,13 +89,6 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         if not factors.any():
             break
     return found
-
-
-def _largest(problem: CalibrationProblem) -> ArmError:
-    """Return the largest error that the arm of a problem may have."""
-    if problem.placements is not None and problem.placements.arm is not None:
-        return problem.placements.arm
-    return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
 
 
 def _before_data(problem: CalibrationProblem) -> float:
@@ -120,7 +113,7 @@ def _factors(found: Explanation, whole: ArmError, before_data: float) -> Array:
     sizes = np.zeros(1) if present is None else (present.sizes / whole.sizes)[whole.kinds]
     coefficients = sizes * unknowns.arm_error if present is not None else np.zeros(layout.arm)
     unknowns = replace(unknowns, arm_error=coefficients)
-    if problem.placements is not None and problem.placements.arm is not None:
+    if problem.reading_error is not None:
         return _of_readings(NoiseLikelihood(unknowns, problem, layout, found.gated.used, bent=True))
     line = linearise(unknowns, problem, layout, found.gated.used)
     arm, rest = layout.arm_slice, slice(0, layout.size - layout.arm)
