@@ -1,7 +1,8 @@
 """Smooth error of the arm: size by the residuals of a fit, and the fit anew.
 
-The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. The error's
-standard deviation t maximises the restricted likelihood. With the cameras eliminated, the information on the
+The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. Its standard
+deviation is the root of the mean of t^2 by the restricted likelihood: cameras take up much of such an error, so that
+the likeliest t is often 0 where t is not. With the cameras eliminated, the information on the
 coefficients is diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the
 likelihood is then
 
@@ -59,7 +60,7 @@ def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
 
 
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
-    """Return the fit with the smooth error of the arm that the residuals show.
+    """Return the fit with the smooth error of the arm, as large as the residuals make likely.
 
     An arm has such an error, of a size that the data leave possible. Where the kinematics are not given, and the noise
     of the robot is stated, as more than arms repeat a place, it may have none: both are as likely before. If the data
@@ -100,7 +101,7 @@ def _before_data(problem: CalibrationProblem) -> float:
 
 
 def _factors(found: Explanation, whole: ArmError, before_data: float) -> Array:
-    """Return factors on the largest error: the mean of what the data leave possible, 0 where that is too little.
+    """Return mean factors on the largest error by the likelihood of each size, 0 where no size is likely.
 
     Args:
         found: A fit.

@@ -286,7 +286,7 @@ class CalibrationProblem:
     @property
     def reading_error(self) -> ArmError | None:
         """Largest smooth error of a robot's readings with a target, without its kinematics; None of all others."""
-        return self.placements and self.placements.arm
+        return None if self.placements is None else self.placements.arm
 
     @cached_property
     def largest_arm_error(self) -> ArmError:
