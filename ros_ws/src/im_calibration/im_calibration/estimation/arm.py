@@ -1,10 +1,9 @@
 """Smooth error of the arm: size by the residuals of a fit, and the fit anew.
 
-The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. Its standard
-deviation is the root of the mean of t^2 by the restricted likelihood: cameras take up much of such an error, so that
-the likeliest t is often 0 where t is not. With the cameras eliminated, the information on the
-coefficients is diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the
-likelihood is then
+The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. Their
+standard deviation is the root of the mean of t^2 by the restricted likelihood: cameras take up much of such an error,
+so that the likeliest t is often 0 where t is not. With the cameras eliminated, the information on the coefficients is
+diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the likelihood is then
 
     sum log(1 + t^2 d / v) - sum t^2 z^2 / (v^2 (1 + t^2 d / v)) + R / v + N log v
 
