@@ -54,7 +54,7 @@ def check_errors(solved):
         # Some seeds scatter by a tenth; 1.3 is out of reach for a solver that loses more than a little.
         assert ours < 1.3 * rms([pair[column] for pair in bounds])
         assert rms([pair[column] for pair in predicted]) / 1.3 < ours < 1.3 * rms([pair[column] for pair in predicted])
-    assert 0.9 < np.mean(reduced) < 1.1
+    assert 0.85 < np.mean(reduced) < 1.1  # an error of the arm that may be, and is not, is counted in
     assert missed <= 1  # a stale position along the only camera's line of sight cannot be told from a good one
 
 

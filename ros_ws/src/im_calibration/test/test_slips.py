@@ -10,6 +10,7 @@ from bench.calibration.lenses import LensDesign, make_lens_scene
 from bench.calibration.synthetic import Design, bent, make_scene
 from im_calibration import calibrate
 from im_calibration.judgement.causes import find_slip
+from im_cell.workspace import Workspace
 
 BOTH = ("image", "robot")
 
@@ -134,6 +135,15 @@ def test_a_fit_that_ends_early_is_no_slip():
     scene = make_scene(Design(77, outlier_share=rng.choice([0.0, 0.1, 0.3]), led_offset_prior_sd=0.08, **noise), 13)
     kind = [str(rng.choice(["quadratic", "links"])) for _ in range(2)][-1]
     assert find_slip(replace(bent(scene, kind, 1e-3, 13).problem, noise_to_estimate=BOTH)) == ""
+
+
+def test_a_slip_that_few_rounds_do_not_explain_is_named():
+    """The data as they are were fitted from many starts, and each slip from one."""
+    space = Workspace((-0.5, -0.5, 0.8), (0.5, 0.5, 1.8))
+    design = Design(16, cameras=1, led_offset_prior_sd=0.1, outlier_share=0.1, sigma_px=0.3, workspace=space)
+    problem = replace(make_scene(design, 1).problem, noise_to_estimate=BOTH, led_offset_prior_sd=0.15)
+    wrong = with_wrists(problem, np.swapaxes(problem.wrist_rotations, 1, 2))
+    assert "the wrong way round: with their inverses" in find_slip(wrong)
 
 
 def test_a_slip_is_the_verdict():

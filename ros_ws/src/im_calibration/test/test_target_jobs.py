@@ -192,7 +192,7 @@ def test_the_error_of_an_arm_whose_kinematics_are_not_given_is_in_what_is_stated
         true = bent(make_views(job, seed, target=SMALL, count=20, sd_m=2e-5, sd_rad=3e-5), 5e-4, seed)
         found = calibrate(problem_of_views(true.views, noise))
         assert found.success, found.message
-        assert "The error of the arm is about" in found.message
+        assert "The error of the arm is taken to be about" in found.message
         assert 1e-4 < found.arm_error_m < 2e-3
         ratios.append(errors_over_expected(found, true))
     assert np.sqrt(np.mean(np.square(ratios))) < 1.4

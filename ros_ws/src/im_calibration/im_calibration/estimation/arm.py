@@ -1,9 +1,9 @@
 """Smooth error of the arm: size by the residuals of a fit, and the fit anew.
 
-The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. The error's
-standard deviation t maximises the restricted likelihood. With the cameras eliminated, the information on the
-coefficients is diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the
-likelihood is then
+The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. Their
+standard deviation is the root of the mean of t^2 by the restricted likelihood: cameras take up much of such an error,
+so that the likeliest t is often 0 where t is not. With the cameras eliminated, the information on the coefficients is
+diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the likelihood is then
 
     sum log(1 + t^2 d / v) - sum t^2 z^2 / (v^2 (1 + t^2 d / v)) + R / v + N log v
 
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _FACTORS = np.geomspace(1e-2, 1.0, 41)
 _USUAL = 0.2
 _GAIN = 4.0
+_EVEN, _IGNORED = 0.5, 0.05  # probabilities of an error of the arm: before the data, and of too little to count
+_REPEATABILITY = 1e-4  # share of the extent of its positions to which no arm, calibrated or not, knows them
 _ROUNDS, _CONVERGED = 4, 0.1
 _NONE, _LEAST = 16.0, 1e-3
 
@@ -50,78 +52,68 @@ class Explanation:
 
 def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
     """Return the problem with a usual error of the arm, where such an error is expected: gates need some size."""
-    if problem.arm_jacobians is None and (problem.placements is None or problem.placements.arm is None):
+    if problem.arm_jacobians is None and problem.reading_error is None:
         return problem
-    whole = _largest(problem)
+    whole = problem.largest_arm_error
     return replace(problem, arm_error=whole.times(np.full(len(whole.sizes), _USUAL)))
 
 
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
-    """Return the fit with the smooth error of the arm that the residuals show.
+    """Return the fit with the smooth error of the arm, as large as the residuals make likely.
 
-    Where the noise of the robot is stated, and the kinematics of the arm are not given, the data have to show the
-    error; if they do not, the fit is unchanged. Otherwise an arm has such an error, of a size that the data leave
-    possible.
+    An arm has such an error, of a size that the data leave possible. Where the kinematics are not given, and the noise
+    of the robot is stated, as more than arms repeat a place, it may have none: both are as likely before. If the data
+    then leave little of the error, the fit is unchanged.
 
     Args:
         gated: A fit without such an error, or with a usual one.
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
-    if problem.placements is not None and problem.arm_jacobians is None and problem.placements.arm is None:
+    if problem.placements is not None and problem.arm_jacobians is None and problem.reading_error is None:
         return Explanation(problem, ParameterLayout.of(problem), gated)  # a target without a robot
-    robot_known = robot_known and problem.arm_jacobians is None
-    whole = _largest(problem)
+    whole = problem.largest_arm_error
+    before_data = _before_data(problem) if robot_known and problem.arm_jacobians is None else 1.0
     factors = np.zeros(len(whole.sizes)) if problem.arm_error is None else problem.arm_error.sizes / whole.sizes
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
-        before, factors = factors, _factors(found, whole, robot_known=robot_known)
+        before, factors = factors, _factors(found, whole, before_data)
         if np.all(abs(factors - before) <= _CONVERGED * before):
             break
         bent = replace(problem, arm_error=whole.times(factors) if factors.any() else None)
         layout = ParameterLayout.of(bent)
         unknowns = found.gated.fit.unknowns
-        known = before.any() and factors.any()
-        scaled = unknowns.arm_error * (before / factors)[whole.kinds] if known else np.zeros(layout.arm)
+        again = before.any() and factors.any()
+        scaled = unknowns.arm_error * (before / factors)[whole.kinds] if again else np.zeros(layout.arm)
         found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
         if not factors.any():
             break
-    if problem.placements is not None:
-        return found
-    try:
-        if found.problem.arm_error is None or not robot_known or _preferred(found):
-            return found
-    except np.linalg.LinAlgError:
-        pass  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
-    plain = replace(problem, arm_error=None)
-    return Explanation(plain, ParameterLayout.of(plain), gated)
+    return found
 
 
-def _largest(problem: CalibrationProblem) -> ArmError:
-    """Return the largest error that the arm of a problem may have."""
-    if problem.placements is not None and problem.placements.arm is not None:
-        return problem.placements.arm
-    return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
+def _before_data(problem: CalibrationProblem) -> float:
+    """Return the probability of an error of the arm before the data, by the stated noise of the robot."""
+    noise = np.trace(problem.position_covariances, axis1=1, axis2=2).mean() / 3.0
+    if noise == 0.0:
+        return _IGNORED  # the positions are said to be exact: only data that speak for an error make it count
+    return 1.0 if noise < _REPEATABILITY**2 * problem.positions.var(axis=0).sum() else _EVEN
 
 
-def _preferred(found: Explanation) -> bool:
-    """Check whether a smooth error explains the spots better than any noise of image and robot does."""
-    unknowns, used = found.gated.fit.unknowns, found.gated.used
-    plain = replace(found.problem, arm_error=None)
-    without = NoiseLikelihood(replace(unknowns, arm_error=np.zeros(0)), plain, ParameterLayout.of(plain), used)
-    smooth = NoiseLikelihood(unknowns, found.problem, found.layout, used)
-    return bool(without.least() - smooth.least() > _GAIN)
+def _factors(found: Explanation, whole: ArmError, before_data: float) -> Array:
+    """Return mean factors on the largest error by the likelihood of each size, 0 where no size is likely.
 
-
-def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array:
-    """Return factors on the largest error: of greatest likelihood, 0 where none is needed; or the mean of the rest."""
+    Args:
+        found: A fit.
+        whole: The largest error.
+        before_data: Probability that there is an error, before the data; each size is as likely then.
+    """
     problem = replace(found.problem, arm_error=whole)
     layout = ParameterLayout.of(problem)
     unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
     sizes = np.zeros(1) if present is None else (present.sizes / whole.sizes)[whole.kinds]
     coefficients = sizes * unknowns.arm_error if present is not None else np.zeros(layout.arm)
     unknowns = replace(unknowns, arm_error=coefficients)
-    if problem.placements is not None and problem.placements.arm is not None:
+    if problem.reading_error is not None:
         return _of_readings(NoiseLikelihood(unknowns, problem, layout, found.gated.used, bent=True))
     line = linearise(unknowns, problem, layout, found.gated.used)
     arm, rest = layout.arm_slice, slice(0, layout.size - layout.arm)
@@ -146,14 +138,12 @@ def _factors(found: Explanation, whole: ArmError, *, robot_known: bool) -> Array
     left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)
     noise = np.maximum(left / freedom, 1e-12)
     deviance = freedom * np.log(noise) + left / noise + np.log1p(t2 * d).sum(axis=1)
-    best = int(np.argmin(deviance))
-    if not robot_known:
-        possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
-        sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
-        return np.asarray(np.sqrt((possible * sizes).sum(keepdims=True) / possible.sum()))
-    if deviance[0] - deviance[best] < _GAIN:
+    likelihood = np.exp(-0.5 * (deviance - deviance.min()))
+    possible = before_data * _FACTORS / _FACTORS.sum() * likelihood[1:]  # alike for each size, not each logarithm
+    every = possible.sum() + (1.0 - before_data) * likelihood[0]
+    if possible.sum() < _IGNORED * every:
         return np.zeros(1)
-    return np.asarray(np.minimum(np.sqrt(t2[best] * noise[best]), 1.0))
+    return np.asarray(np.sqrt((possible * np.minimum(t2[1:, 0] * noise[1:], 1.0)).sum(keepdims=True) / every))
 
 
 def _of_readings(likelihood: NoiseLikelihood) -> Array:

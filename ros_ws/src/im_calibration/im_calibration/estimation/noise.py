@@ -209,11 +209,6 @@ class NoiseLikelihood:
         """
         return self._descend(logs, np.eye(len(logs))[free])
 
-    def least(self) -> float:
-        """Return the deviance of the factors of greatest likelihood."""
-        starts = (np.zeros(2), _FAR * _ROBOT, -_FAR * _ROBOT)
-        return min(self.maximum(start, _BOTH)[1] for start in starts)
-
     def common(self, logs: Array) -> tuple[Array, float]:
         """As :meth:`maximum` with one factor on both."""
         return self._descend(logs, np.ones((1, 2)))

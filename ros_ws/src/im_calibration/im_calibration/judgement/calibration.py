@@ -21,7 +21,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-_ARM = "The error of the arm is about {:.2g} mm in each coordinate, alike at neighbours; all stated errors include it."
+_ARM = (
+    "The error of the arm is taken to be about {:.2g} mm in each coordinate, alike at neighbours; all stated errors "
+    "include it."
+)
 _CURVED = 1.0
 _CURVE = (
     "The parameters of {} vary together along a curve, as those of a long lens do: the stated errors hold for "

@@ -117,12 +117,19 @@ def _slip(problem: CalibrationProblem, found: _Fitted) -> str:
         return ""
     bad = [c for c in range(len(problem.camera_names)) if not _fit(_of_camera(problem, c)).usual]
     some = slips_of_cameras(problem, bad) if 0 < len(bad) < len(problem.camera_names) else ()
+    first = max(found.px, _fit(problem, _FIRST_ROUNDS).px)  # after as few rounds, not after the best of many starts
     promising = [
-        slip for slip in chain(slips_of(problem), some) if _PROMISING * _fit(slip.problem, _FIRST_ROUNDS).px < found.px
+        slip for slip in chain(slips_of(problem), some) if _PROMISING * _fit(slip.problem, _FIRST_ROUNDS).px < first
     ]
     if not promising:
         return ""
-    tried = sorted(((_fit(slip.problem), slip) for slip in promising), key=lambda one: one[0].px)
+    fits = [_fit(slip.problem) for slip in promising]
+    near = _RIVAL * min(fit.px for fit in fits)  # few rounds may end far from the best of a slip
+    fits = [
+        _fit(slip.problem, thoroughly=True) if fit.px <= near else fit
+        for fit, slip in zip(fits, promising, strict=True)
+    ]
+    tried = sorted(zip(fits, promising, strict=True), key=lambda one: one[0].px)
     best, slip = tried[0]
     if not best.explains(found):
         return ""
@@ -176,7 +183,7 @@ def _moved(problem: CalibrationProblem, whole: Unknowns | None) -> str:
     for half in (np.arange(n // 2), np.arange(n // 2, n)):
         part = problem.taking(half)
         fitted = _fit(part)
-        if fitted.unknowns is None:
+        if fitted.unknowns is None or not fitted.possible:
             continue
         # the readings of the other half are not those of this one
         unknowns = replace(fitted.unknowns, shared_errors=np.zeros(problem.shared_errors.shape[2]))

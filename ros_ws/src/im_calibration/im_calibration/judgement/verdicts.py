@@ -19,7 +19,6 @@ from im_calibration.judgement.calibration import Calibration, Verdict
 from im_calibration.judgement.causes import LARGEST_ARM_SHARE, LARGEST_SPOT_PX, MEDIAN_LENGTH, strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
-from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB
@@ -289,9 +288,8 @@ def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
 
 def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
     """Report a smooth error as large as that of no arm; empty if it is smaller."""
-    largest = problem.placements and problem.placements.arm
-    largest = largest or ArmError.largest(problem.positions, problem.wrist_rotations)
-    if calibration.arm_error_m < min(_NEAR_LARGEST * largest.standard_deviation, _LARGEST_ERROR_M):
+    largest_m = problem.largest_arm_error.standard_deviation
+    if calibration.arm_error_m < min(_NEAR_LARGEST * largest_m, _LARGEST_ERROR_M):
         return ""
     return (
         f"The positions are off by {1e3 * calibration.arm_error_m:.1f} mm or more, neighbouring ones alike, which is "

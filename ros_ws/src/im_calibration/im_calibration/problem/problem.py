@@ -283,6 +283,16 @@ class CalibrationProblem:
         roots[poses] = (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(axes, 1, 2)
         return roots
 
+    @property
+    def reading_error(self) -> ArmError | None:
+        """Largest smooth error of a robot's readings with a target, without its kinematics; None of all others."""
+        return None if self.placements is None else self.placements.arm
+
+    @cached_property
+    def largest_arm_error(self) -> ArmError:
+        """Largest smooth error that the arm may have."""
+        return self.reading_error or ArmError.largest(self.positions, self.wrist_rotations, self.arm_jacobians)
+
     @cached_property
     def shared_errors(self) -> Array:
         """Derivatives of the positions by the errors of k readings of several poses, shape (n, 3, 3k), or 6k [m]."""
