@@ -1,9 +1,12 @@
 """Data objects of commands in several nodes: two commands at once do not meet, and what they leave is forgotten."""
 
+import shutil
+
 import pytest
 import rclpy
 from std_msgs.msg import String
 
+from im_core.names import run_dir
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode, to_info
 from im_msgs.msg import ObjectChange
@@ -178,7 +181,7 @@ def test_when_dom_has_died_tokens_follow_what_has_become_of_its_objects(cast, wa
         wait_until(lambda: keeper.exchange.nets["keeper"].marking() == {"moved": 1}, "the token to move")
 
 
-def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast, wait_until):
+def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast, wait_until, tmp_path, monkeypatch):
     """Whoever comes later is told, too: /dom, as it was dead meanwhile."""
     wait_until(lambda: cast.dom.ready, "the Data Object Manager")
     for name in ("notes", "diary"):
@@ -193,6 +196,9 @@ def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast,
         assert in_loop(cast.dom, cast.dom.store.record, "diary").valid
         wait_until(lambda: "keeper" not in cast.planner._library._known, "other nodes to reckon with it no more")
         in_loop(cast.dom, cast.dom.store.put, "notes", "std_msgs/msg/String", b"", "keeper.there", "test", 0)
+        for file in run_dir().glob("dom.sqlite*"):
+            shutil.copy(file, tmp_path)
+        monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))  # two never keep one store
         late = DomNode()
         with spin_in_thread(late):
             wait_until(lambda: late.ready, "another /dom")
