@@ -15,6 +15,7 @@ ClassT = TypeVar("ClassT")
 
 #: What the files of modules were when these were imported: time of the last change [ns] and size.
 _imported: dict[str, tuple[int, int] | None] = {}
+_beside: list[Path] = []
 
 
 @overload
@@ -40,6 +41,7 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
         if not (module and colon and name):
             raise ValueError("module or class is missing")
         imported = import_module(module)
+        _require_unhidden(module.partition(".")[0])
         _imported.setdefault(module, _stamp(imported))
         found: object = getattr(imported, name)
     except FOREIGN as error:  # a module of the user's may raise anything
@@ -107,8 +109,22 @@ def make(reference: str, what: str, *arguments: object) -> object:
 
 
 def find_beside(files: Iterable[str | Path]) -> None:
-    """Find modules beside some files first, for the rest of the process."""
-    sys.path[:0] = list(dict.fromkeys(str(Path(file).resolve().parent) for file in files))
+    """Find modules beside some files too, for the rest of the process; behind all others, which they cannot hide."""
+    folders = dict.fromkeys(str(Path(file).resolve().parent) for file in files)
+    _beside[:] = map(Path, folders)
+    sys.path[:] = [*(each for each in sys.path if each not in folders), *folders]
+
+
+def _require_unhidden(name: str) -> None:
+    """Check whether an imported module is the one beside the files of :func:`find_beside`, if that has one.
+
+    Raises:
+        ImportError: It is another one of the same name.
+    """
+    file = getattr(sys.modules[name], "__file__", None)
+    for own in (own for folder in _beside for own in (folder / f"{name}.py", folder / name / "__init__.py")):
+        if own.is_file() and (file is None or not own.samefile(file)):
+            raise ImportError(f"{own} is hidden by {file or 'a module of Python'}; give it another name")
 
 
 def require_current(reference: str, what: str) -> None:

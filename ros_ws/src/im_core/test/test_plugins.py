@@ -1,5 +1,7 @@
 """What configuration names as ``module:Class`` is found, or the sentence says what is wrong with the name."""
 
+import sys
+
 import pytest
 
 from im_core import plugins
@@ -52,3 +54,18 @@ def test_a_module_may_fail_in_any_way(tmp_path, monkeypatch, error):
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=f"im_faulty:Law' cannot be loaded: {error}: no hands"):
         plugins.load("im_faulty:Law", None, "law")
+
+
+def test_a_module_beside_a_file_hides_no_library_and_is_told_where_a_library_hides_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(plugins, "_beside", [])
+    for name in ("queue", "calendar", "gripping_of_a_test"):
+        (tmp_path / f"{name}.py").write_text("def grip(): return 3\n")
+    plugins.find_beside([tmp_path / "net.yaml"])
+    assert sys.path[-1] == str(tmp_path)
+    assert plugins.make("gripping_of_a_test:grip", "action function") == 3
+    for name in ("queue", "calendar"):
+        with pytest.raises(
+            ConfigError, match=rf"{tmp_path}/{name}\.py is hidden by .*{name}\.py; give it another name"
+        ):
+            plugins.load(f"{name}:grip", None, "action function")

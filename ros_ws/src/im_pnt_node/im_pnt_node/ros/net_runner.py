@@ -40,7 +40,7 @@ offer services, actions and topics, and the nets call them. docs/tutorials/your_
   scripts/im pnt run pick.yaml --symbol pick --journal state     killed by -9? The same line again goes on
   scripts/im pnt run pick.yaml cell.yaml --page                  two nets, and the page that shows them live
 
-Functions that nets name as module:function are looked for beside the net files first. Ctrl-C cancels what runs and
+Functions that nets name as module:function are looked for beside the net files too. Ctrl-C cancels what runs and
 waits for its actions to end, and 5 s more at most; Ctrl-C again ends at once. Parameters of the node follow
 --ros-args, as for every node.
 
