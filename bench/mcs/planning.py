@@ -1,7 +1,7 @@
 """CPU time of searches for free paths among the shipped free bodies, and an independent check of the paths.
 
 With the tool upright a goal is the end of a walk that keeps the tool so. Between two that are drawn there may be no
-path: limits of joints divide the upright positions into parts.
+path: limits of joints may part the upright positions.
 """
 
 from itertools import pairwise

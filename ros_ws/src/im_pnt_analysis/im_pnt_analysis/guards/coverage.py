@@ -188,9 +188,11 @@ class GuardCoverage:
             markings = CommandMarkings(self._net, self._knowledge, kind)
             looked: dict[tuple[str, ...], bool] = {}
             for places, enabled in markings:
+                for each in enabled:
+                    if each.guard is not None:
+                        decided.setdefault(each.name, True)
                 guarded, undecided = self._guarded(places, enabled)
                 decided |= dict.fromkeys(undecided, False)
-                decided = {each.name: True for each in enabled if each.guard is not None} | decided
                 names = tuple(each.name for each in guarded)
                 if guarded and names not in looked:
                     looked[names] = self._is_covered(kind, guarded, ways, apart)
