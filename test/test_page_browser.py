@@ -414,6 +414,26 @@ def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     each.until("document.querySelectorAll('#firings li').length === 1", "the first firing")
 
 
+def test_keys_that_are_pressed_before_the_server_answers_count_one_after_the_other(recorded, tab):
+    recording, url = recorded
+    each = tab(url)
+    counted = "document.getElementById('count').textContent.startsWith('firing {} ')"
+    each.until(counted.format(0), "the beginning")
+    held = []
+    each.page.route("**/recording.json*", lambda route: held.append(route) if holding else route.continue_())
+    for keys, firing in (
+        (("End", "Home", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"), 2),
+        (("ArrowRight", "ArrowLeft", "End", "ArrowLeft", "ArrowLeft"), recording.firings - 2),
+    ):
+        holding = True
+        for key in keys:
+            each.page.keyboard.press(key)
+        holding = False
+        while held:
+            held.pop().continue_()
+        each.until(counted.format(firing), f"firing {firing}")
+
+
 @contextlib.contextmanager
 def silent_once(url):
     """An address that leads to the page, whose first socket is taken and never answered; and those sockets."""

@@ -17,8 +17,10 @@ export class Recording {
     this.steps = [];      // what comes next
     this.more = false;    // whether something comes after them
     this.playing = false;
+    this.asked = 0;
     this.sought = 0;
     this.played = 0;
+    this.arrival = Promise.resolve();  // of the last place or step that was asked for
     byId("begin").addEventListener("click", () => this.seek({ firing: 0 }));
     byId("back").addEventListener("click", () => this.back());
     byId("play").addEventListener("click", () => this.play(!this.playing));
@@ -92,9 +94,21 @@ export class Recording {
     return answer.json();
   }
 
-  // Goes to {at: seconds} or {firing: number}; of several that are asked for quickly the last one counts.
-  async seek(place) {
+  // Goes to {at: seconds} or {firing: number}; what was asked for before it counts no more.
+  seek(place) {
     if (!("at" in place)) this.play(false);
+    this.asked++;
+    return this.arrival = this.go(place);
+  }
+
+  // Takes a step from where everything leads that was asked for before it.
+  step(act) {
+    this.play(false);
+    const { asked } = this;
+    return this.arrival = this.arrival.then(() => asked === this.asked ? act() : null);
+  }
+
+  async go(place) {
     const sought = ++this.sought;
     if ("at" in place) this.at = Number(place.at);
     this.tell();
@@ -110,9 +124,9 @@ export class Recording {
   }
 
   // Fetches what comes after the steps that are here.
-  async extend() {
-    if (this.extending || !this.more) return;
-    this.extending = true;
+  extend() { return this.more ? this.extending ??= this.fetchSteps() : null; }
+
+  async fetchSteps() {
     const sought = this.sought;
     try {
       const moment = await this.load({ firing: this.steps.at(-1)?.firing ?? this.firing });
@@ -123,7 +137,7 @@ export class Recording {
       this.play(false);
       this.onError(error.message);
     } finally {
-      this.extending = false;
+      this.extending = null;
     }
   }
 
@@ -134,14 +148,15 @@ export class Recording {
     return step.at;
   }
 
-  back() { this.seek({ firing: Math.max(this.firing - 1, 0) }); }
+  back() { return this.step(() => this.go({ firing: Math.max(this.firing - 1, 0) })); }
 
-  async on() {
-    this.play(false);
-    if (!this.steps.length) await this.extend();
-    for (const before = this.firing; this.steps.length && this.firing === before;) this.at = this.take();
-    this.tell();
-    this.onRest();
+  on() {
+    return this.step(async () => {
+      if (!this.steps.length) await this.extend();
+      for (const before = this.firing; this.steps.length && this.firing === before;) this.at = this.take();
+      this.tell();
+      this.onRest();
+    });
   }
 
   // Plays or pauses; of several that are asked for quickly the last one counts.
