@@ -95,6 +95,62 @@ def test_of_a_command_with_too_many_markings_nothing_is_said(monkeypatch):
     assert "whether each of the guards" in " ".join(verify_to_load([net]).assumptions)
 
 
+def looped(low, high, step="+ 1", first="0", limit="{type: integer, minimum: 1, maximum: 5}"):
+    return f"""
+net: task
+commands: {{go: {{arguments: {{n: {limit}}}}}}}
+places: {{idle: 1, turn: {{data_object: {{name: k, type: std_msgs/msg/Int64}}}}, bad: }}
+escalate: bad
+transitions:
+  begin: {{symbol: go, in: idle, out: turn, store: {{k: {{data: {first}}}}}}}
+  more: {{in: turn, out: turn, guard: "${{{low}}}", store: {{k: {{data: "${{data.k.data {step}}}"}}}}}}
+  stop: {{in: turn, out: idle, guard: "${{{high}}}", emit: go_done}}
+  give_up: {{in: bad, out: idle, emit: go_failed}}
+"""
+
+
+@pytest.mark.parametrize(
+    "net",
+    [
+        looped("data.k.data < 3", "data.k.data == 3"),
+        looped("data.k.data < arguments.n", "data.k.data == arguments.n"),
+        looped("data.k.data > 0", "data.k.data == 0", "- 1", '"${arguments.n}"'),
+        looped("data.k.data < 6", "data.k.data >= 6 and data.k.data < 9", "+ 3", "1"),
+        looped("data.k.data == 0 or data.k.data == 1", "data.k.data == 2"),
+    ],
+)
+def test_a_counter_is_known_step_by_step(net):
+    assert {"more", "stop"} <= decide_guards(parse_net(net))
+
+
+@pytest.mark.parametrize(
+    ("net", "told"),
+    [
+        (looped("data.k.data < 3", "data.k.data == 3", "+ 2"), "data.k.data = 4"),
+        (looped("data.k.data < arguments.n", "data.k.data == arguments.n", limit="{type: integer}"), "n = "),
+        (looped("data.k.data > 0", "data.k.data == 0", "- 1", '"${arguments.n - 6}"'), "n = "),
+        (looped("data.k.data == 0", "data.k.data == 2"), "data.k.data = 1"),
+    ],
+)
+def test_a_counter_that_passes_its_end_is_refused(net, told):
+    assert told in refusal(net)
+
+
+def test_a_counter_that_another_token_changes_meanwhile_is_not_known():
+    text = (
+        looped("data.k.data < 3", "data.k.data == 3")
+        .replace("out: turn, store: {k: {data: 0}}", ("out: [turn, beside], store: {k: {data: 0}}"))
+        .replace("bad: }", "bad: , beside: , after: }")
+        .replace("in: turn, out: idle", "in: [turn, after], out: idle")
+    )
+    besides = '  beside: {in: beside, out: after, store: {k: {data: "${data.k.data + 1}"}}}\n'
+    assert "nothing fires at 'turn'" in refusal(text.replace("in: bad, out", "in: [bad, after], out") + besides)
+
+
+def test_a_number_that_is_no_step_of_the_counter_bounds_nothing():
+    assert "data.k.data = -" in refusal(looped("data.k.data >= 0", "data.k.data == 100", "* 0 + -data.k.data + 1"))
+
+
 PLACES = ("p", "q", "r", "s")
 SOME = st.lists(st.sampled_from(PLACES), min_size=1, max_size=2, unique=True)
 GUARD = st.one_of(
@@ -128,6 +184,72 @@ def hanging(steps, first, value):
             if after not in found:
                 found.add(after)
                 pending.append(after)
+
+
+COUNTS = st.builds(
+    "${{data.k.data {} {}}}".format, st.sampled_from(["<", ">=", "=="]), st.sampled_from(["1", "2", "arguments.n"])
+)
+STORES = st.sampled_from(["", "0", "1", "${data.k.data + 1}", "${data.k.data - 1}", "${arguments.n}"])
+FARTHEST = 6
+
+
+def hanging_count(steps, first, value):
+    """As hanging(), with a counter that begins with 0 and is followed as far as a limit."""
+
+    def holds(guard, count):
+        if not guard or guard == "cancelled":
+            return not guard
+        name, sign, other = re.fullmatch(r"\$\{(\S+) (\S+) (\S+)\}", guard).groups()
+        left, right = count if name == "data.k.data" else value, value if other == "arguments.n" else int(other)
+        return {"<": left < right, ">=": left >= right, "==": left == right}[sign]
+
+    def stored(text, count):
+        new = {"": count, "${data.k.data + 1}": count + 1, "${data.k.data - 1}": count - 1, "${arguments.n}": value}
+        return new[text] if text in new else int(text)
+
+    found, pending = {(first, 0)}, [(first, 0)]
+    while pending and len(found) < 1000:
+        marking, count = pending.pop()
+        near = [step for step in steps if set(step[0]) <= set(marking)]
+        firing = [step for step in near if holds(step[2], count)]
+        if near and not firing:
+            yield marking, count
+        for needed, given_, _, store in firing:
+            left = list(marking)
+            for place in needed:
+                left.remove(place)
+            after = tuple(sorted((*left, *given_))), stored(store, count)
+            if after not in found and abs(after[1]) < FARTHEST:
+                found.add(after)
+                pending.append(after)
+
+
+@given(SOME, st.lists(st.tuples(SOME, SOME, st.one_of(GUARD, COUNTS), STORES), min_size=1, max_size=4))
+def test_no_count_hangs_a_net_whose_guards_are_decided(first, steps):
+    lines = "\n".join(
+        f"  t{n}: {{in: [{', '.join(needed)}], out: [{', '.join(given_)}]"
+        + (f", guard: '{guard}'" if guard else "")
+        + (f', store: {{k: {{data: "{store}"}}}}, on_failure: bad}}' if store else "}")
+        for n, (needed, given_, guard, store) in enumerate(steps)
+    )
+    text = (
+        "net: task\ncommands: {go: {arguments: {n: {type: integer, minimum: 1, maximum: 5}}}}\n"
+        "places: {idle: {tokens: 1, resource: true}, count: {data_object: {name: k, type: std_msgs/msg/Int64}}, "
+        f"{': , '.join(PLACES)}: , bad: }}\n"
+        f"transitions:\n  begin: {{symbol: go, in: idle, out: [idle, count, {', '.join(first)}],"
+        f" store: {{k: {{data: 0}}}}, on_failure: idle}}\n{lines}\n"
+    )
+    try:
+        decided = decide_guards(parse_net(text))
+    except NetFileError:  # a step that no command comes to
+        reject()
+    except NetError:
+        return
+    guarded = {f"t{n}": step for n, step in enumerate(steps) if step[2]}
+    for value in VALUES:
+        for marking, count in hanging_count(steps, tuple(sorted(first)), value):
+            stuck = {name for name, step in guarded.items() if set(step[0]) <= set(marking)}
+            assert not stuck & decided, (value, marking, count)
 
 
 @given(SOME, st.lists(st.tuples(SOME, SOME, GUARD), min_size=1, max_size=5))

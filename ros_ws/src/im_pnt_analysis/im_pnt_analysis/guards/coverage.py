@@ -2,7 +2,7 @@
 
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, product
@@ -12,13 +12,13 @@ from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.expression.inference import Meanings
 from im_pnt.expression.scope import NetScope
-from im_pnt.expression.syntax import Binary, Literal
-from im_pnt.expression.template import OPENS, nodes, references
+from im_pnt.expression.template import nodes, references
 from im_pnt.expression.types import ANY, NoTypes, ValueType, installed_types
 from im_pnt.model.net import Guard, Net, ObjectScope, Place, Role, Transition
 from im_pnt_analysis.guards.command_markings import CommandMarkings, may_never_fire
-from im_pnt_analysis.guards.formula import Bounds, Formulas, ValueKnowledge
-from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways, named
+from im_pnt_analysis.guards.formula import Formulas, ValueKnowledge
+from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways
+from im_pnt_analysis.guards.stored_values import named, stored_bounds
 
 MOST_CHANGING = 6
 """Values that may change at any time, of one place; with more nothing is decided."""
@@ -165,7 +165,7 @@ class GuardCoverage:
         stored = {name for t in net.transitions.values() for name in t.store}
         self._stored = frozenset(stored - common)
         self._knowledge = Knowledge(net, self._scope, self._stored)
-        self._bounds = {path: found for name in self._stored for path, found in _bounds(net, name).items()}
+        self._bounds = {path: found for name in self._stored for path, found in stored_bounds(net, name).items()}
         self.resources = self._knowledge.resources
         self.choices: list[tuple[str, ...]] = []
         self.never: set[str] = set()
@@ -254,7 +254,8 @@ class GuardCoverage:
 
     def _at(self, guarded: list[Transition], ways: Ways) -> frozenset[TokenKnowledge]:
         places = frozenset[str]().union(*(self._knowledge.work_inputs(each) for each in guarded))
-        return self._knowledge.together(places, ways)
+        guards = [each.guard for each in guarded if each.guard is not None]
+        return frozenset(known.about(guards) for known in self._knowledge.together(places, ways))
 
     def _differ(self, guarded: list[Transition]) -> bool:
         """Return whether transitions need different things beside the tokens of the command."""
@@ -277,7 +278,7 @@ class GuardCoverage:
         work = self._knowledge.work_inputs(transition)
         if not work or not work <= ways.keys() or transition.guard is None:
             return False
-        at = self._knowledge.together(work, ways)
+        at = self._at([transition], ways)
         possible = False
         for known in at:
             given = replace(self._given(kind, [transition], known), rounded=True)
@@ -348,7 +349,7 @@ def _question(
     """Return the formulas at a place, a solver of the facts there, and the condition of each guard."""
     formulas = Formulas(z3, given)
     held = [formulas.holds(each.guard) for each in guarded if each.guard is not None]
-    facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
+    facts = [formulas.holds(guard) for guard in _relevant(known.facts | known.stored, guarded)]
     solver = z3.Solver()
     solver.set("rlimit", _EFFORT)
     solver.add(*formulas.limits(), *facts)
@@ -361,45 +362,6 @@ def _relevant(facts: frozenset[Guard], guarded: list[Transition]) -> list[Guard]
     asking = [*others, *(each.guard for each in guarded if each.guard is not None)]
     asked = any(path[0] == "failure" for guard in asking for path in named(guard))
     return sorted(facts if asked else others, key=str)
-
-
-def _bounds(net: Net, name: str) -> Bounds:
-    """Return the bounds of the numbers in a data object of which a net says all values, such as those of a counter."""
-    stored = [dict(_numbers(t.store[name])) for t in net.transitions.values() if name in t.store]
-    found: dict[tuple[str, ...], tuple[float | None, float | None]] = {}
-    for way in {way for each in stored for way in each}:
-        path = (name, *way)
-        changes = [_change(each.get(way, 0), path) for each in stored]
-        values = [value for value, step in changes if value is not None and step is None]
-        steps = [step for value, step in changes if value is None]
-        if values and None not in steps:
-            low = min(values) if all(step is not None and step >= 0 for step in steps) else None
-            high = max(values) if all(step is not None and step <= 0 for step in steps) else None
-            found[path] = (low, high)
-    return found
-
-
-def _numbers(value: object, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
-    """Yield the fields of a stored message, with the ways to them."""
-    if isinstance(value, Mapping):
-        for name, each in value.items():
-            yield from _numbers(each, (*way, str(name)))
-    else:
-        yield way, value
-
-
-def _change(value: object, path: tuple[str, ...]) -> tuple[float | None, float | None]:
-    """Return the stored number, or the step added to the number before; None: not told."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return value, None
-    match list(nodes(value)) if isinstance(value, str) and value.startswith(OPENS) and value.endswith("}") else []:
-        case [Literal(int() | float() as number)] if not isinstance(number, bool):
-            return number, None
-        case [Binary("+" | "-" as sign, of, Literal(int() | float() as step))] if list(references(of)) == [
-            ("data", *path)
-        ]:
-            return None, step if sign == "+" else -step
-    return None, None
 
 
 def _found(z3: Any, solver: Any, formulas: Formulas, wanted: list[Any]) -> str | None:

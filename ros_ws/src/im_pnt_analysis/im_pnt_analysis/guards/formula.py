@@ -1,6 +1,6 @@
 """Guards as formulas of z3: values of a command that stay the same, and conditions that may change at any time."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations
@@ -13,6 +13,7 @@ from im_pnt.expression.template import OPENS, nodes, references
 from im_pnt.expression.types import ANY, ValueKind, ValueType
 from im_pnt.model.arguments import Argument, ArgumentSchema
 from im_pnt.model.net import Guard
+from im_pnt_analysis.guards.stored_values import Bounds
 
 _NUMBERS = (ValueKind.NUMBER, ValueKind.INTEGER)
 _VALUES = (ValueKind.BOOLEAN, ValueKind.TEXT, *_NUMBERS)
@@ -25,10 +26,6 @@ _ANOTHER = "another text"
 
 Term = tuple[Any, Any]
 """A value and the condition that it exists, both of z3."""
-
-
-Bounds = Mapping[tuple[str, ...], tuple[float | None, float | None]]
-"""Least and greatest values of fields of data objects, by name and way to the field; None: not known."""
 
 
 class _UndecidedError(Exception):

@@ -1,14 +1,15 @@
 """Knowledge of values at the places of a net: guards passed on the way, and transitions answered."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, product
 
 from im_pnt.expression.scope import NetScope
-from im_pnt.expression.template import OPENS, nodes, references
+from im_pnt.expression.template import OPENS, Way
 from im_pnt.model.action import AwaitAction
 from im_pnt.model.net import Arcs, Guard, Net, Transition
 from im_pnt.model.resources import resource_places
+from im_pnt_analysis.guards.stored_values import facts_when_stored, named
 
 NO_FAILURE = Guard("${failure.code == '' and failure.message == ''}")
 """Knowledge of a token without a failure behind it."""
@@ -24,25 +25,43 @@ class TokenKnowledge:
     Attributes:
         facts: Passed guards over values that stay the same.
         answered: Transitions whose answers are there.
+        stored: Facts about the data objects that the net stores itself, as of the last stored values.
     """
 
     facts: frozenset[Guard] = frozenset()
     answered: frozenset[str] = frozenset()
+    stored: frozenset[Guard] = frozenset()
 
     def joined(self, other: "TokenKnowledge") -> "TokenKnowledge":
         """Return the knowledge from two tokens of one command."""
-        return TokenKnowledge(self.facts | other.facts, self.answered | other.answered)
+        return TokenKnowledge(self.facts | other.facts, self.answered | other.answered, self.stored | other.stored)
 
     def covers(self, other: "TokenKnowledge") -> bool:
         """Return whether the knowledge fits each command that the other fits."""
-        return self.facts <= other.facts and self.answered <= other.answered
+        return self.facts <= other.facts and self.answered <= other.answered and self.stored <= other.stored
+
+    def without(self, *names: Way) -> "TokenKnowledge":
+        """Return the knowledge without the facts about names."""
+
+        def keep(facts: frozenset[Guard]) -> frozenset[Guard]:
+            return frozenset(fact for fact in facts if not any(p[: len(n)] == n for p in named(fact) for n in names))
+
+        return TokenKnowledge(keep(self.facts), self.answered, keep(self.stored))
+
+    def about(self, guards: Iterable[Guard]) -> "TokenKnowledge":
+        """Return the knowledge without stored values foreign to guards and to the facts beside these values."""
+        asked = {path for guard in (*guards, *self.facts) for path in named(guard)}
+        kept = frozenset[Guard]()
+        while more := frozenset(fact for fact in self.stored - kept if not asked.isdisjoint(named(fact))):
+            kept |= more
+            asked.update(path for fact in more for path in named(fact))
+        return TokenKnowledge(self.facts, self.answered, kept)
 
 
 Ways = Mapping[str, frozenset[TokenKnowledge]]
 """Knowledge at each place that is reached, one for each way there."""
 
-Name = tuple[str, str]
-"""A value that a transition gives anew: the answer of an action, or a data object."""
+_FAILURE = ("failure",)
 
 
 class Knowledge:
@@ -83,7 +102,7 @@ class Knowledge:
                 for place, arriving in self._outcomes(transition, kind, found):
                     if place in self.resources:
                         continue  # the token is nobody's there
-                    lasting = frozenset(_known(each, beside.get(place, frozenset())) for each in arriving)
+                    lasting = _without(arriving, *beside.get(place, ()))
                     before = found.get(place, frozenset())
                     after = _reduced(before | lasting)
                     if after != before:
@@ -98,7 +117,7 @@ class Knowledge:
         for several in ways:
             joined = set(_reduced(frozenset(one.joined(other) for one, other in product(joined, several))))
         if len(ways) > 1:  # the failure may be that of any of the tokens
-            return frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in joined)
+            return _without(joined, _FAILURE)
         return frozenset(joined)
 
     def _outcomes(
@@ -110,23 +129,36 @@ class Knowledge:
             before = _learned(before, self._facts(transition.guard))
         if not before:
             return
-        acts, name = transition.action is not None, transition.retry_of or transition.name
-        for given in self._given(transition):
-            before = frozenset(TokenKnowledge(_without(each.facts, *given), each.answered) for each in before)
-        after = frozenset(TokenKnowledge(each.facts, each.answered | {name}) for each in before) if acts else before
+        given = list(self._given(transition))
+        unchanged = _without(before, *given, _FAILURE)
+        after = self._stored_by(transition, before)
+        if transition.action is not None:
+            name = transition.retry_of or transition.name
+            after = frozenset(replace(each, answered=each.answered | {name}) for each in after)
         if not transition.keeps_failure:
-            after = frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in after)
-            after = _learned(after, [NO_FAILURE])
+            after = _learned(_without(after, _FAILURE), [NO_FAILURE])
         if isinstance(transition.action, AwaitAction) and transition.action.until is not None:
             after = _learned(after, self._facts(Guard(transition.action.until)))
         for place in transition.outputs:
             yield place, after
-        failed = frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in before)
         for place in chain(*self._failing(transition)):
-            yield place, failed
+            yield place, unchanged
         for place in transition.outputs:
             for other in self._net.places[place].on_invalid if place in self._net.places else ():
-                yield other, frozenset(TokenKnowledge(_without(e.facts, "failure"), e.answered) for e in after)
+                yield other, _without(after, _FAILURE)
+
+    def _stored_by(self, transition: Transition, before: frozenset[TokenKnowledge]) -> frozenset[TokenKnowledge]:
+        """Return the knowledge when a transition has given its values."""
+        given = list(self._given(transition))
+        if self._stored.isdisjoint(transition.store):
+            return _without(before, *given)
+        answers = [name for name in given if name[0] == "answers"]
+        meanings, found = self._scope.meanings(transition), set[TokenKnowledge]()
+        for each in _without(before, *answers):
+            new = facts_when_stored(each.facts | each.stored, transition, self._stored, meanings)
+            lasting = each.without(*given)
+            found.add(replace(lasting, stored=lasting.stored | new))
+        return frozenset(found)
 
     def begins(self, transition: Transition, kind: str) -> bool:
         """Return whether a transition begins a command with its symbol."""
@@ -141,7 +173,7 @@ class Knowledge:
         failing = transition.on_failure or ({} if self._net.escalate is None else {self._net.escalate: 1})
         return [arcs for arcs in (failing if transition.action is not None else {}, transition.on_doubt) if arcs]
 
-    def _given(self, transition: Transition) -> Iterator[Name]:
+    def _given(self, transition: Transition) -> Iterator[Way]:
         """Yield the values that a transition gives anew."""
         if transition.action is not None:
             yield "answers", transition.retry_of or transition.name
@@ -155,7 +187,7 @@ class Knowledge:
         stays = all(path[0] != "data" or path[1] in self._stored for path in named(guard))
         return [guard] if OPENS in guard.name and stays else []
 
-    def _beside(self, serving: Iterable[Transition], kind: str) -> Mapping[str, frozenset[Name]]:
+    def _beside(self, serving: Iterable[Transition], kind: str) -> Mapping[str, frozenset[Way]]:
         """Return for each place the values that other tokens of the command may give anew while one lies there.
 
         Places are found that may be marked together, as far as pairs tell (A. Kovalyov, "Concurrency relations and the
@@ -173,7 +205,7 @@ class Knowledge:
             steps += [({place.name: 1}, self.work(dict.fromkeys(place.on_invalid, 1)))] if place.on_invalid else []
         entry = {self._net.services[kind].entry} if kind in self._net.services else set[str]()
         pairs = _marked_together(steps, entry)
-        found: dict[str, frozenset[Name]] = {}
+        found: dict[str, frozenset[Way]] = {}
         for transition in serving:
             for name in self._given(transition):
                 for one, other in pairs:
@@ -208,32 +240,28 @@ def _marked_together(steps: list[tuple[Arcs, Arcs]], entry: set[str]) -> set[tup
             return pairs
 
 
-def named(guard: Guard) -> frozenset[tuple[str, ...]]:
-    """Return the names in the expressions of a guard: roots, and what follows."""
-    return frozenset(path for each in (guard, *guard.unless) for node in nodes(each.name) for path in references(node))
+def _learned(ways: Iterable[TokenKnowledge], facts: Iterable[Guard]) -> frozenset[TokenKnowledge]:
+    return frozenset(replace(way, facts=way.facts.union(facts)) for way in ways)
 
 
-def _learned(ways: frozenset[TokenKnowledge], facts: Iterable[Guard]) -> frozenset[TokenKnowledge]:
-    return frozenset(TokenKnowledge(way.facts.union(facts), way.answered) for way in ways)
-
-
-def _known(way: TokenKnowledge, changing: frozenset[Name]) -> TokenKnowledge:
-    """Return the knowledge that lasts while other tokens of the command give values anew."""
-    facts = way.facts
-    for name in changing:
-        facts = _without(facts, *name)
-    return TokenKnowledge(facts, way.answered)
-
-
-def _without(facts: frozenset[Guard], *path: str) -> frozenset[Guard]:
-    """Return the facts that say nothing of a name."""
-    return frozenset(fact for fact in facts if not any(name[: len(path)] == path for name in named(fact)))
+def _without(ways: Iterable[TokenKnowledge], *names: Way) -> frozenset[TokenKnowledge]:
+    return frozenset(way.without(*names) for way in ways)
 
 
 def _reduced(ways: frozenset[TokenKnowledge]) -> frozenset[TokenKnowledge]:
-    """Leave out each way that another covers; too many become one."""
+    """Leave out covered ways; of too many, join those with different stored values alone."""
     least = frozenset(way for way in ways if not any(other != way and other.covers(way) for other in ways))
-    if len(least) <= MOST_WAYS:
-        return least
-    facts = frozenset.intersection(*(way.facts for way in least))
-    return frozenset({TokenKnowledge(facts, frozenset.intersection(*(way.answered for way in least)))})
+    if len(least) > MOST_WAYS:
+        alike: dict[TokenKnowledge, list[TokenKnowledge]] = {}
+        for way in least:
+            alike.setdefault(replace(way, stored=frozenset()), []).append(way)
+        least = frozenset(_common(several) for several in alike.values())
+    return least if len(least) <= MOST_WAYS else frozenset({_common(least)})
+
+
+def _common(ways: Iterable[TokenKnowledge]) -> TokenKnowledge:
+    return TokenKnowledge(
+        frozenset.intersection(*(way.facts for way in ways)),
+        frozenset.intersection(*(way.answered for way in ways)),
+        frozenset.intersection(*(way.stored for way in ways)),
+    )
