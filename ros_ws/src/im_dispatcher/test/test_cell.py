@@ -261,7 +261,7 @@ def test_the_net_of_the_cell_is_replaced_while_commands_run_and_wait():
     cell.end(left)
     assert cell.results[left].results == {"number": left, "of": left}
     assert cell.working() == {behind, third}
-    with pytest.raises(StateError, match=f"look \\(number {third}\\) has not ended"):
+    with pytest.raises(StateError, match=f"look \\(number {third}\\) has not ended: no net would know it"):
         cell.line.require_same(made_of(move)[1])
     with pytest.raises(StateError, match="look is under way"):
         taken_over(executor, made_of(move)[2])

@@ -88,7 +88,9 @@ class WaitingLine:
         for job in (*self._executor().jobs(), *self._executor().coming()):
             claim = self.claim(job.command)
             if (claim.variant.name, claim.variant.needs) not in known:
-                text = f"{job.symbol} (number {job.command.id}) has not ended, and would not need the same any more"
+                symbols = {each.symbol for each in needs.variants.values()}
+                then = "would need other resources" if job.symbol in symbols else "no net would know it any more"
+                text = f"{job.symbol} (number {job.command.id}) has not ended: {then}"
                 raise StateError(text, command=job.symbol)
 
     def require_taken(self, claim: Claim) -> None:
