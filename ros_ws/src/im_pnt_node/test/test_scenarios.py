@@ -285,6 +285,22 @@ transitions:
     assert complaints(tmp_path, f"{later}    objects: {{spot: {{data: 1}}}}", net) == []
 
 
+def test_each_of_two_commands_has_stored_objects_of_its_own(tmp_path):
+    net = """
+net: cell
+commands: {go: {arguments: {n: {type: integer}}}}
+places: {a: 2, turn: {data_object: {name: k, type: std_msgs/msg/Int64}}, bad: }
+escalate: bad
+transitions:
+  begin: {symbol: go, in: a, out: turn, store: {k: {data: 0}}}
+  more: {in: turn, out: turn, guard: "${data.k.data < arguments.n}", store: {k: {data: "${data.k.data + 1}"}}}
+  stop: {in: turn, out: a, guard: "${data.k.data == arguments.n}", emit: go_done, result: {was: "${data.k.data}"}}
+  give_up: {in: bad, out: a, emit: go_failed}
+"""
+    both = ", ".join(f"{{symbol: go, arguments: {{n: {n}}}, results: {{was: {n}}}}}" for n in (3, 5))
+    assert complaints(tmp_path, f"    steps: [{both}]", net) == []
+
+
 # Drawn answers.
 
 

@@ -68,12 +68,17 @@ class AwaitedMessage:
 class MockedObjects:
     """Data objects of a scenario (:class:`im_pnt.execution.values.Objects`).
 
-    Attributes:
-        stored: Fields by name, without the scope of the command.
+    Each command stores objects of its own, as on the machine; the given ones are those of all commands.
     """
 
     def __init__(self, given: Mapping[str, Mapping[str, object]]) -> None:
-        self.stored: dict[str, Mapping[str, object]] = dict(given)
+        self._given = dict(given)
+        self._stored: dict[str, Mapping[str, object]] = {}
+
+    def give(self, given: Mapping[str, Mapping[str, object]]) -> None:
+        """Replace objects of all commands, by name without scope."""
+        self._given.update(given)
+        self._stored = {name: fields for name, fields in self._stored.items() if _short(name) not in given}
 
     async def read(self, name: str, kind: str, ways: Sequence[Way]) -> Mapping[str, object]:
         """Return the fields of an object."""
@@ -82,10 +87,10 @@ class MockedObjects:
     def latest(self, name: str, kind: str, ways: Sequence[Way]) -> Mapping[str, object]:
         """Return the fields of an object."""
         del kind, ways
-        short = _short(name)
-        if short not in self.stored:
-            raise ImError(f"there is no data object '{short}' in the scenario", code="not_found")
-        return self.stored[short]
+        found = self._stored.get(name, self._given.get(_short(name)))
+        if found is None:
+            raise ImError(f"there is no data object '{_short(name)}' in the scenario", code="not_found")
+        return found
 
     def stale(self) -> None:
         """Do nothing: every read is new."""
@@ -93,7 +98,7 @@ class MockedObjects:
     async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str = "") -> None:
         """Store an object."""
         del kind, place
-        self.stored[_short(name)] = fields
+        self._stored[name] = fields
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
         """Run a coroutine, which waits for nothing."""

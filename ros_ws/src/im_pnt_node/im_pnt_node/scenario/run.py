@@ -167,7 +167,7 @@ class ScenarioRunner(Observer):
             self._asked = {key: each for key, each in self._asked.items() if key[1] not in step.guards}
             for name in step.guards:
                 self._used.pop(name, None)
-            self._objects.stored.update(step.objects)
+            self._objects.give(step.objects)
             for executor in self._exchange.nets.values():
                 executor.guards_changed()
 
