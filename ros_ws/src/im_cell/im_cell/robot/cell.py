@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import UrdfGeometry, UrdfTree, disabled_pairs, parse_description
+from im_cell.robot.description import UrdfGeometry, UrdfJoint, UrdfTree, disabled_pairs, parse_description
 from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     Box,
@@ -107,6 +107,10 @@ class Cell(ObjectsFile):
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
+        if WORLD in description.links and description.root != WORLD:
+            raise FieldError(("urdf",), f"link '{WORLD}' is not its root; no other link may have that name")
+        if description.root == WORLD and self.mount != CellMount():
+            raise FieldError(("mount",), f"the root of the URDF is '{WORLD}' itself, which stands nowhere else")
         for name in self.drives:
             _require(name, joints, ("drives", name), "a joint of the URDF")
         for name, position in self.standing.items():
@@ -123,6 +127,11 @@ class Cell(ObjectsFile):
             for rank, joint in enumerate(group.joints):
                 _require(joint, joints, ("groups", name, "joints", rank), "a joint of the URDF")
             moved = self.joints_of(name)
+            for joint in self._between(group.tip):
+                if joint.mimic and joint.name not in (*self.standing, *group.joints):
+                    text = f"joint {joint.name} carries {group.tip} and follows {joint.mimic} (mimic)"
+                    text = f"{text}: no such joint moves here; standing.{joint.name} can say where it stands"
+                    raise FieldError(("groups", name, "tip"), text)
             for joint in moved:
                 if joint in self.standing:
                     raise FieldError(("standing", joint), f"joint {joint} is in group '{name}', and moves")
@@ -264,13 +273,17 @@ class Cell(ObjectsFile):
 
     def carriers_of(self, link: str) -> tuple[str, ...]:
         """Return the names of the joints below a link, in order, mimic joints left out."""
-        names: list[str] = []
+        carriers = (each for each in self._between(link) if each.kind != "fixed" and not each.mimic)
+        return tuple(joint.name for joint in carriers if joint.name not in self.standing)
+
+    def _between(self, link: str) -> list[UrdfJoint]:
+        """Return the joints between the root and a link, in order."""
+        found: list[UrdfJoint] = []
         of = {joint.child: joint for joint in self.description.joints}
         while link in of:
-            joint = of[link]
-            names += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
-            link = joint.parent
-        return tuple(reversed(names))
+            found.insert(0, of[link])
+            link = of[link].parent
+        return found
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:
