@@ -77,6 +77,47 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path):
     assert CollisionChecker(model, 0.0).closest(q).distance == CollisionChecker(usual, 0.0).closest(q).distance
 
 
+def test_a_joint_may_have_the_name_of_a_link_and_fixed(tmp_path):
+    """As joints that only hold a frame often have; here, one of them turns."""
+    text = cell_file("ur5").with_name("ur5.urdf").read_text().replace('"elbow_joint"', '"tool0_fixed"')
+    (tmp_path / "robot.urdf").write_text(text)
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot.urdf"))
+    assert CellModel(load_cell(tmp_path / "cell.yaml")).names[2] == "tool0_fixed"
+
+
+def test_an_arm_too_weak_for_the_assumed_acceleration_is_given_less(tmp_path, capsys):
+    """And ``check`` tells joints that cannot follow, or do not even hold the arm."""
+    bare = cell_file("ur5").with_name("ur5.urdf").read_text()
+    told = {}
+    for effort in ("150.0", "60", "9"):
+        (folder := tmp_path / effort).mkdir()
+        (folder / "robot.urdf").write_text(bare.replace('effort="150.0"', f'effort="{effort}"'))
+        text = first_cell(folder / "robot.urdf")
+        assert ("drives:" in text) == (effort != "150.0")
+        for kept, without in ((True, text), (False, re.sub(r"(?s)drives:.*?\n\n", "", text))):
+            (folder / "cell.yaml").write_text(without)
+            capsys.readouterr()
+            assert main(["check", str(folder / "cell.yaml")]) == 0
+            told[effort, kept] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("too ")]
+    assert told["150.0", True] == told["60", True] == []
+    (line,) = told["60", False]
+    assert re.fullmatch(r"too fast: in half of all positions .*: shoulder_lift_joint [1-9]\d %", line)
+    for lines in (told["9", True], told["9", False]):
+        assert [line.split()[2] for line in lines] == ["shoulder_lift_joint"], lines
+
+
+def test_moving_links_without_a_shape_are_told(tmp_path, capsys):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "robot.urdf").write_text(re.sub(r"(?s)<collision>.*?</collision>", "", text))
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot.urdf"))
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "cell.yaml")]) == 0
+    links = "shoulder_link, upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, wrist_3_link"
+    assert f"missing: shapes of {links}; collisions of these links are not seen" in capsys.readouterr().out
+    assert main(["check", "ur5"]) == 0
+    assert "missing: shapes" not in capsys.readouterr().out
+
+
 def test_corners_in_one_plane_but_one_are_enough():
     """The outermost points may all lie in one plane; the one above it belongs to the hull."""
     plane = [(x, y, x + y) for x in (-0.2, 0.2) for y in (-0.1, 0.1)]

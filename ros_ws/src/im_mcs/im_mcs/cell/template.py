@@ -18,6 +18,7 @@ from im_core.errors import ConfigError, DataError
 from im_core.text.yamltext import write_yaml
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.cell.hulls import enclosing_hulls
+from im_mcs.cell.torques import acceleration_share
 from im_mcs.collision.bodies import NEIGHBOURS, Bodies
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.inverse.arm import FEWEST_JOINTS
@@ -35,6 +36,9 @@ _FLOOR = {"link": "world", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
 _JAW_M = 0.1
 """A last sliding joint of a shorter stroke is a jaw, one of a longer stroke an axis, as of a gantry."""
 _HOME_MARGIN = 0.2
+_SLOWEST, _SPARE = 0.05, 0.95
+"""Least share of the assumed acceleration: with less, an arm only seems to move; and the used part of what torques
+afford."""
 _CLEAR_M = (0.05, 0.02)
 
 
@@ -73,7 +77,8 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
     never = () if srdf is not None else _never(cell)
     home = _home(cell.model_copy(update={"never": never}))
-    return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never, floor)
+    slower = _slower(cell)
+    return _written(urdf, srdf, grouped, tips, home, slower, capsules, hulls, never, floor)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -136,7 +141,7 @@ def _middle(joint: UrdfJoint) -> float:
     return 0.0 if joint.lower < 0.0 < joint.upper else (joint.lower + joint.upper) / 2.0
 
 
-def _samples(cell: Cell, margin: float) -> NDArray[np.float64]:
+def samples_of(cell: Cell, margin: float) -> NDArray[np.float64]:
     """Return random positions, a share of the range away from its ends, shape (k, n) [rad or m]."""
     draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(cell.joints)))
     lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
@@ -151,7 +156,7 @@ def _never(cell: Cell) -> list[tuple[str, str]]:
     for pair in range(len(bodies.pairs)):
         shapes.setdefault(bodies.pair_names(pair), []).append(pair)
     distances: dict[tuple[str, str], list[float]] = {names: [] for names in shapes}
-    for q in _samples(cell, 0.0):
+    for q in samples_of(cell, 0.0):
         bodies.place(q)
         for names, pairs in shapes.items():
             distances[names].append(min(map(bodies.distance, pairs)))
@@ -175,7 +180,7 @@ def _home(cell: Cell) -> list[float]:
     arms = [ArmTracker(model, Arm(model, tip), tip) for tip in tips]
     best, found, met = 0.0, cell.home, Counter[tuple[str, str]]()
     tried = []
-    for q in (cell.home, *_samples(cell, _HOME_MARGIN)):
+    for q in (cell.home, *samples_of(cell, _HOME_MARGIN)):
         bodies.place(q)
         tried.append((q, bodies.closest()))
     clear_m = next((clear for clear in _CLEAR_M if any(near.distance >= clear for _, near in tried)), np.inf)
@@ -193,12 +198,24 @@ def _home(cell: Cell) -> list[float]:
     return [round(float(value), 3) for value in found]
 
 
+def _slower(cell: Cell) -> dict[str, float]:
+    """Return the acceleration of each joint where torques do not afford the assumed one, by joint [rad/s2 or m/s2]."""
+    if cell.unknown:
+        return {}
+    share = float(acceleration_share(cell, samples_of(cell, 0.0)).min())
+    if share >= 1.0:
+        return {}
+    at_once = max(_SPARE * share, _SLOWEST) * cell.per_joint("limits.acceleration")
+    return {name: float(f"{value:.2g}") for name, value in zip(cell.joint_names, at_once, strict=True)}
+
+
 def _written(
     urdf: Path,
     srdf: Path | None,
     grouped: Mapping[str, Sequence[UrdfJoint]],
     tips: Sequence[str],
     home: Sequence[float],
+    slower: Mapping[str, float],
     capsules: Sequence[Capsule],
     hulls: Sequence[Hull],
     never: Sequence[tuple[str, str]],
@@ -218,6 +235,9 @@ def _written(
             f"    joints: [{', '.join(_plain(each.name) for each in joints)}]",
         ]
         lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
+    if slower:
+        lines += ["", "drives:                 # accelerations that the torques afford, all joints at once"]
+        lines += [f"  {_plain(joint)}: {{acceleration: {value:g}}}" for joint, value in slower.items()]
     lines += ["", "capsules:               # around the shapes of the links"] if capsules else []
     for each in capsules:
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
