@@ -163,6 +163,18 @@ def test_a_first_file_is_a_cell_that_mcs_takes(robot, capsys):
     assert robot.with_name("cell.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_first_file_may_stand_in_another_folder(robot, tmp_path, monkeypatch):
+    robot.with_name("robot.srdf").write_text('<robot name="r"/>')
+    (tmp_path / "cells").mkdir()
+    monkeypatch.chdir(tmp_path / "cells")
+    for urdf, output in ((robot, "cell.yaml"), (f"../{robot.name}", str(tmp_path / "cells" / "other.yaml"))):
+        assert main(["new", str(urdf), "--srdf", "../robot.srdf", "--output", output]) == 0
+        assert {"urdf: ../robot.urdf", "srdf: ../robot.srdf"} <= {
+            *(tmp_path / "cells" / output).read_text().split("\n")
+        }
+        assert load_cell(output).joint_names == load_cell("ur5").joint_names
+
+
 def test_a_mesh_is_compared_as_its_hull(robot, capsys):
     """The distance from the floor is that of the box's corners, which a capsule around would shorten."""
     file = robot.with_name("cell.yaml")
@@ -370,6 +382,8 @@ def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
+    assert main(["check", str(tmp_path / "still.urdf")]) == 1
+    assert re.search("still.urdf: a URDF is no cell file; `im cell new .*still.urdf --output", capsys.readouterr().err)
     text = cell_file("ur5").with_name("ur5.urdf").read_text()
     (tmp_path / "named.urdf").write_text(text.replace('"elbow_joint"', '"elbow joint"'))
     assert main(["new", str(tmp_path / "named.urdf")]) == 1

@@ -486,9 +486,11 @@ def cell_file(named: Path | str) -> Path:
     """Return the file of a cell, named as a shipped one or as a path.
 
     Raises:
-        ConfigError: It is a name, and no cell is shipped under it.
+        ConfigError: It is a name, and no cell is shipped under it; or it is a URDF.
     """
     path = Path(named)
+    if path.suffix in (".urdf", ".xacro"):
+        raise ConfigError(f"{path}: a URDF is no cell file; `im cell new {path} --output cell.yaml` writes one of it")
     if path.exists() or path.suffix or path.name != str(named):
         return path
     if path.name not in (known := shipped_cells()):

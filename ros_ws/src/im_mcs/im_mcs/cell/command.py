@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.command == "new":
-            text = first_cell(options.urdf, options.srdf)
+            text = first_cell(options.urdf, options.srdf, options.output and options.output.parent)
             if options.output is None:
                 say(text.removesuffix("\n"))
                 return 0
@@ -86,9 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     new.add_argument(
         "--srdf",
         type=Path,
-        help="pairs of links not compared, beside the URDF (default: all that always touch)",
+        help="pairs of links not compared (default: all that always touch)",
     )
-    new.add_argument("--output", type=Path, help="file to write, beside the URDF (default: standard output)")
+    new.add_argument("--output", type=Path, help="file to write (default: standard output, for the folder of the URDF)")
     check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
     check.add_argument("cell", help="cell file, or name of a shipped cell")
     check.add_argument("--picture", type=Path, help="file for a picture of the cell at home, such as cell.png")

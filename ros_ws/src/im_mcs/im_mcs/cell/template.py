@@ -1,6 +1,7 @@
 """The first cell file of a URDF: groups, homes, capsules and hulls, asking nothing that the URDF shows."""
 
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -42,12 +43,13 @@ afford."""
 _CLEAR_M = (0.05, 0.02)
 
 
-def first_cell(urdf: Path, srdf: Path | None = None) -> str:
+def first_cell(urdf: Path, srdf: Path | None = None, folder: Path | None = None) -> str:
     """Return the text of a cell file for a URDF.
 
     Args:
         urdf: The file.
         srdf: Pairs of links that are not compared (MoveIt's SRDF); None: those that always touch are found.
+        folder: Folder of the cell file; None: that of the URDF.
 
     Raises:
         ConfigError: The URDF or SRDF is missing or wrong, or nothing in it moves.
@@ -78,7 +80,10 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     never = () if srdf is not None else _never(cell)
     home = _home(cell.model_copy(update={"never": never}))
     slower = _slower(cell)
-    return _written(urdf, srdf, grouped, tips, home, slower, capsules, hulls, never, floor)
+    files = {
+        key: os.path.relpath(file, folder or urdf.parent) for key, file in (("urdf", urdf), ("srdf", srdf)) if file
+    }
+    return _written(urdf.name, files, grouped, tips, home, slower, capsules, hulls, never, floor)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -210,8 +215,8 @@ def _slower(cell: Cell) -> dict[str, float]:
 
 
 def _written(
-    urdf: Path,
-    srdf: Path | None,
+    robot: str,
+    files: Mapping[str, str],
     grouped: Mapping[str, Sequence[UrdfJoint]],
     tips: Sequence[str],
     home: Sequence[float],
@@ -223,11 +228,8 @@ def _written(
 ) -> str:
     names = [joint.name for joint in _ordered(grouped)]
     at = dict(zip(names, home, strict=True))
-    lines = [
-        f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.",
-        f"urdf: {_plain(urdf.name)}",
-    ]
-    lines += [*([] if srdf is None else [f"srdf: {_plain(srdf.name)}"]), "", "groups:"]
+    lines = [f"# First cell file of {robot}; `im cell check` says what it leaves open."]
+    lines += [*(f"{key}: {_plain(file)}" for key, file in files.items()), "", "groups:"]
     for (name, joints), tip in zip(grouped.items(), tips, strict=True):
         lines += [
             f"  {name}:",
