@@ -172,7 +172,7 @@ def test_the_truth_of_another_cell_is_refused(perfect, first):
     truth = draw_truth(load_cell("ur5"), 1, perfect_arm=perfect)
     require_cell(truth, load_cell("ur5"))
     with pytest.raises(
-        DataError, match=f"has not what the testbed has, {first}, .*: IM_CELL names that of the machine"
+        DataError, match=f"has not what the testbed has, {first}, .*: IM_CELL names that of"
     ):
         require_cell(truth, CELL)
 
