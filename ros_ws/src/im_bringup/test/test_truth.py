@@ -171,9 +171,7 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
 def test_the_truth_of_another_cell_is_refused(perfect, first):
     truth = draw_truth(load_cell("ur5"), 1, perfect_arm=perfect)
     require_cell(truth, load_cell("ur5"))
-    with pytest.raises(
-        DataError, match=f"has not what the testbed has, {first}, .*: IM_CELL names that of"
-    ):
+    with pytest.raises(DataError, match=f"has not what the testbed has, {first}, .*: IM_CELL names that of"):
         require_cell(truth, CELL)
 
 

@@ -127,10 +127,10 @@ class Cell(ObjectsFile):
             for rank, joint in enumerate(group.joints):
                 _require(joint, joints, ("groups", name, "joints", rank), "a joint of the URDF")
             moved = self.joints_of(name)
-            for joint in self._between(group.tip):
-                if joint.mimic and joint.name not in (*self.standing, *group.joints):
-                    text = f"joint {joint.name} carries {group.tip} and follows {joint.mimic} (mimic)"
-                    text = f"{text}: no such joint moves here; standing.{joint.name} can say where it stands"
+            for carrier in self._between(group.tip):
+                if carrier.mimic and carrier.name not in (*self.standing, *group.joints):
+                    text = f"joint {carrier.name} carries {group.tip} and follows {carrier.mimic} (mimic)"
+                    text = f"{text}: no such joint moves here; standing.{carrier.name} can say where it stands"
                     raise FieldError(("groups", name, "tip"), text)
             for joint in moved:
                 if joint in self.standing:

@@ -163,7 +163,8 @@ def _weak(cell: Cell, model: CellModel) -> list[str]:
 
 def _shapes(cell: Cell) -> list[str]:
     """Return sentences about the compared shapes, and the moving links without one."""
-    seen = {cell.tree.carrier(each.link).parent for each in (*cell.bodies, *cell.hulls)}
+    shaped = {*(body.link for body in cell.bodies), *(hull.link for hull in cell.hulls)}
+    seen = {cell.tree.carrier(link).parent for link in shaped}
     bare = [link.name for link in cell.links if link.name not in seen]
     lines = [f"missing: shapes of {', '.join(bare)}; collisions of these links are not seen"] if bare else []
     rounded = dict.fromkeys(body.link for body in cell.capsules_compared)
