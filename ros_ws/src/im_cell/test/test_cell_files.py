@@ -89,6 +89,11 @@ def test_a_xacro_is_expanded(read, tmp_path):
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
+        (
+            '<link name="base"/>',
+            '<xacro:include filename="$(find nowhere)/x"/>',
+            "expand it: \"package 'nowhere' not found",
+        ),
         ("<xacro:limb", "<xacro:leg", "xacro cannot expand it: unknown macro name: xacro:leg"),
         ("0.1 * 3", "1 / 0", "xacro cannot expand it: division by zero"),
         ("</robot>", "", "xacro cannot expand it: no element found"),

@@ -319,6 +319,13 @@ def test_links_two_joints_apart_are_compared_unless_they_are_close_by_constructi
         assert links in touching, (name, touching)
 
 
+def test_a_tip_of_any_name_is_drawn(robot):
+    robot.write_text(robot.read_text().replace('"tool0"', '"$\\a$"'))
+    file = robot.with_name("cell.yaml")
+    file.write_text(first_cell(robot))
+    draw(load_cell(file), robot.with_name("cell.png"))
+
+
 @pytest.mark.parametrize("name", shipped_cells())
 def test_links_of_a_shipped_cell_that_are_not_compared_touch_always_or_are_close_by_construction(name):
     """Or never touch."""
@@ -352,6 +359,9 @@ def test_pairs_of_an_srdf_are_taken(robot, capsys):
     told = capsys.readouterr().out
     assert "missing: links that the SRDF names: bass_link" in told
     assert "missing: the file of poses, " in told
+    srdf.write_text('<robot name="r"><disable_collisions link1="base_link"/></robot>')
+    with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: a <disable_collisions> lacks its link1 or link2"):
+        load_cell(shutil.copy(file, robot.with_name("lacking.yaml")))
     srdf.write_text("<robot")
     with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: is not XML"):
         load_cell(shutil.copy(file, robot.with_name("broken.yaml")))
@@ -381,6 +391,8 @@ def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
+    assert main(["check", "ur5", "--picture", str(tmp_path / "cell.bmp")]) == 1
+    assert "cell.bmp: the name of a picture ends in .png, .svg, " in capsys.readouterr().err
     assert main(["check", str(tmp_path / "still.urdf")]) == 1
     assert re.search("still.urdf: a URDF is no cell file; `im cell new .*still.urdf --output", capsys.readouterr().err)
     text = cell_file("ur5").with_name("ur5.urdf").read_text()

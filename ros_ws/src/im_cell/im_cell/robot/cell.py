@@ -45,6 +45,7 @@ _GREY = (0.72, 0.73, 0.75)
 DEFAULT_CELL = "puma_pair"
 _LARGEST_URDF = 8 * MEBIBYTE
 _GRIPPER_PARTS = ("gripper", "palm", "jaw", "jaw_1", "jaw_2")
+_CLASS, _SAID = re.compile("^<class '[^']*'>: "), 120
 _TOPIC = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")
 
 _SHORTEST_S = 1e-4
@@ -469,7 +470,8 @@ def robot_text(path: Path) -> str:
         try:
             return str(xacro.process_file(str(path)).toxml())
         except Exception as error:  # of any kind: macros run expressions
-            raise ConfigError(f"{path}: xacro cannot expand it: {shortened(str(error))}", file=str(path)) from error
+            told = " ".join(_CLASS.sub("", str(error)).split())
+            raise ConfigError(f"{path}: xacro cannot expand it: {shortened(told, _SAID)}", file=str(path)) from error
     try:
         return read_text(path, _LARGEST_URDF)
     except FileError as error:

@@ -128,8 +128,11 @@ def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
     Raises:
         ConfigError: It is not XML or no SRDF.
     """
-    pairs = _robot(text, name).findall("disable_collisions")
-    return frozenset(frozenset((each.get("link1", ""), each.get("link2", ""))) for each in pairs)
+    pairs = [(each.get("link1"), each.get("link2")) for each in _robot(text, name).findall("disable_collisions")]
+    named = [frozenset((first, second)) for first, second in pairs if first and second]
+    if len(named) < len(pairs):
+        raise ConfigError(f"{name}: a <disable_collisions> lacks its link1 or link2", file=name)
+    return frozenset(named)
 
 
 def _robot(text: str, name: str) -> ET.Element:
