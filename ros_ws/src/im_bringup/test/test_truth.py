@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from im_bringup.calibration.truth import add_to_report, arms_off, place_of, truth_error
+from im_bringup.calibration.truth import add_to_report, arms_off, place_of, require_cell, truth_error
 from im_cell.calibration_summary import brief_summary
 from im_cell.robot import kinematic_derivatives, load_cell
 from im_cell.robot.truth import CellTruth, errors_of
@@ -165,6 +165,14 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
         truth_error(report(), {**observations(), "J_arm": [[[0.1], [0.1], [0.1, 0.2]]] * 12}, TRUTH, CELL)
     with pytest.raises(DataError, match="is not a report"):
         add_to_report(tmp_path / "none.json", TRUTH, CELL)
+
+
+@pytest.mark.parametrize(("perfect", "first"), [(False, "shoulder_pan_joint"), (True, "arm_led")])
+def test_the_truth_of_another_cell_is_refused(perfect, first):
+    truth = draw_truth(load_cell("ur5"), 1, perfect_arm=perfect)
+    require_cell(truth, load_cell("ur5"))
+    with pytest.raises(DataError, match=f"has not what the testbed has, {first}, .*: IM_CELL names that of"):
+        require_cell(truth, CELL)
 
 
 def test_the_summary_is_short():

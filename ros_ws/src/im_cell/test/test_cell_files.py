@@ -89,6 +89,11 @@ def test_a_xacro_is_expanded(read, tmp_path):
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
+        (
+            '<link name="base"/>',
+            '<xacro:include filename="$(find nowhere)/x"/>',
+            "expand it: \"package 'nowhere' not found",
+        ),
         ("<xacro:limb", "<xacro:leg", "xacro cannot expand it: unknown macro name: xacro:leg"),
         ("0.1 * 3", "1 / 0", "xacro cannot expand it: division by zero"),
         ("</robot>", "", "xacro cannot expand it: no element found"),
@@ -132,6 +137,14 @@ def test_continuous_joints_have_a_turn_to_both_sides_and_that_is_said(read):
     assert "a: no range; a turn to both sides" in cell.assumed
 
 
+@pytest.mark.parametrize(("limit", "range_"), [('lower="-1.5"', (-1.5, 0.0)), ('upper="1.5"', (0.0, 1.5))])
+def test_of_two_limits_the_missing_one_is_0(read, limit, range_):
+    """So says the specification of URDF."""
+    cell = read(robot(first=joint("a", "base", "one", content=f'<limit {limit} velocity="1" effort="10"/>')),
+                CELL.replace("[0.1, 0.2]", "[0.0, 0.2]"))  # fmt: skip
+    assert (cell.joints[0].limits.lower, cell.joints[0].limits.upper) == range_
+
+
 def test_what_torques_need_is_told_apart(read):
     bare = robot(first=joint("a", "base", "one", content='<limit lower="-1" upper="1" velocity="1" effort="0"/>'))
     cell = read(bare.replace(link("two"), link("two", "")))
@@ -154,7 +167,8 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot(link("x"), link("y"), joint("c", "x", "y"), joint("d", "y", "x")), CELL, "joints c, d are a closed chain"),
     (robot(second=joint("b", "one", "twoo")), CELL, "joint b names the link 'twoo', which is not there"),
     (robot(second=joint("b", "one", "two", "planar")), CELL, "joint b is of type 'planar', not one of revolute"),
-    (robot(second=joint("b", "one", "two", content=MIMIC)), CELL, "1 joints: a"),
+    (robot(second=joint("b", "one", "two", content=MIMIC)), CELL,
+     r"cell.yaml:3: groups.arm.tip: joint b carries tool and follows a .mimic.: no such joint moves here; standing.b"),
     (robot(second=joint("b", "one", "two", content=MIMIC)),
      CELL.replace("tip: tool,", "tip: tool, joints: [a, b],"), "joint b follows a .mimic.; such joints"),
     (robot(second=joint("b", "one", "two", "prismatic", '<limit velocity="1" effort="1"/>')), CELL,
@@ -162,6 +176,17 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot(second=joint("b", "one", "two", content='<limit lower="0" upper="0" velocity="1" effort="1"/>')), CELL,
      "joint b has the range 0 to 0; drives.b.range can say one"),
     (robot(second=joint("b", "one", "two", xyz="0 0 300")), CELL, "b: 300 m is beyond 50 m: .*millimetres"),
+    (robot(first=joint("a", "base", "one", xyz="0 0 40"), second=joint("b", "one", "two", xyz="0 30 0")), CELL,
+     "its links are up to 70.3 m from base, beyond 50 m: lengths are millimetres"),
+    (robot().replace('ixx="0.1"', 'ixx="2500"'), CELL, "has 2500 kg m2, as if 50 m away .*: inertias are kg mm2"),
+    (robot(second=joint("b", "one", "two", content='<limit upper="-1" velocity="1" effort="1"/>')), CELL,
+     "joint b: its limit lower 0.0 is above upper -1.0"),
+    (robot().replace('"two"', f'"{"l" * 120}"'), CELL, "its name has 120 letters; 100 are allowed"),
+    (robot(link("hand", "<collision><geometry><capsule/></geometry></collision>"), joint("h", "two", "hand", "fixed")),
+     CELL, "hand: a shape for collision is none of box, cylinder, sphere, mesh"),
+    (robot().replace("one", "world"), CELL, "cell.yaml:1: urdf: link 'world' is not its root; no other link may"),
+    (robot().replace("base", "world"), CELL + "mount: {xyz: [1.0, 0.0, 0.0]}\n",
+     "cell.yaml:4: mount: the root of the URDF is 'world' itself, which stands nowhere else"),
     (robot(second=joint("b", "one", "two", content='<limit lower="-90" upper="120" velocity="1" effort="1"/>')), CELL,
      "joint b turns from -90 to 120 rad: its limits are degrees, it seems"),
     (robot(second=joint("b", "one", "two", content='<limit lower="-1" upper="1" velocity="90" effort="1"/>')), CELL,

@@ -3,12 +3,14 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
 from im_cell.robot import cell_file, load_cell, shipped_cells
+from im_core.config import package_file
 from im_core.errors import ConfigError, ImError
 from im_mcs.cell.template import first_cell
 from im_mcs.client.kinematics import Kinematics
-from im_mcs.collision import CollisionChecker
+from im_mcs.collision import Bodies, CollisionChecker, lever_bounds
 from im_mcs.collision.monitor import CollisionMonitor
 from im_mcs.control import LawSource
 from im_mcs.inverse import Arm, ArmTracker
@@ -34,8 +36,20 @@ ROBOTS = {
                  ("revolute", Y, "0 0.11 0.1", 1.9), ("revolute", Y, "0 -0.1 0.4", 2.4),
                  ("revolute", Z, "0 0 0.4", 3.0), ("revolute", Y, "0 0 0.11", 1.8),
                  ("revolute", Z, "0 0 0.09", 3.0), "0 0 0.02"],
+    "stanford": [("revolute", Z, "0 0 0.4", 2.9), ("revolute", Y, "0 0.15 0", 1.5), ("prismatic", Z, "0 0 0.3", 0.9),
+                 ("revolute", Z, "0 0 0.2", 2.9), ("revolute", Y, "0 0 0.05", 1.5), ("revolute", Z, "0 0 0.05", 2.9),
+                 "0 0 0.08"],
+    "snake": [("prismatic", X, "0 0 0.2", 0.4),
+              *(("revolute", axis, "0 0 0.25", 2.0) for axis in (Z, Y, Y, Z, Y, Z, Y, Z)), "0 0 0.1"],
     "continuous": [("continuous", axis, "0 0 0.15", None) for axis in (Z, Y, Z, Y, Z, Y, Z)] + ["0 0 0.1"],
 }  # fmt: skip
+
+TURNTABLE = f"""<robot name="r"><link name="base"/><link name="plate">
+<inertial><mass value="4"/><inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.1"/></inertial>
+<collision><geometry><cylinder radius="0.2" length="0.04"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="plate"/><origin xyz="0.5 0 0.3"/><axis xyz="{Z}"/>
+<limit lower="-3" upper="3" velocity="1" effort="80"/></joint></robot>
+"""
 
 
 def robot_urdf(robot):
@@ -62,7 +76,7 @@ def robot_urdf(robot):
 @pytest.fixture(scope="module", params=[*OTHERS, *ROBOTS])
 def name(request, tmp_path_factory):
     """Name of a shipped cell, or the first cell file of a robot."""
-    if request.param in OTHERS:
+    if request.param in shipped_cells():
         return request.param
     folder = tmp_path_factory.mktemp(request.param)
     (folder / "robot.urdf").write_text(robot_urdf(request.param))
@@ -234,6 +248,29 @@ def test_a_pose_of_the_tip_has_its_positions(name):
     assert worst < 1e-6
 
 
+@pytest.mark.parametrize("name", [*shipped_cells(), *ROBOTS], indirect=True)
+def test_no_distance_changes_faster_than_its_bound(name):
+    """The bound is of the size of the arm."""
+    bodies = Bodies(model := CellModel(load_cell(name)))
+    levers = lever_bounds(model, bodies)
+    lower, upper = model.cell.per_joint("limits.lower"), model.cell.per_joint("limits.upper")
+    random = np.random.default_rng(4)
+    tightest = np.zeros(model.n)
+    for _ in range(40):
+        a = lower + random.uniform(size=model.n) * (upper - lower)
+        b = a + random.normal(size=model.n) * 0.02 * (random.uniform(size=model.n) < 0.3)
+        bodies.place(a)
+        before = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
+        bodies.place(b)
+        after = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
+        apart = (before > 0.0) & (after > 0.0)
+        bound = levers @ np.abs(b - a)
+        assert (np.abs(after - before) <= bound + 5e-6)[apart].all()
+        tightest = np.maximum(tightest, np.abs(b - a))
+    assert (tightest > 0.0).all()
+    assert levers.max() < 4.0
+
+
 @pytest.mark.parametrize("each", OTHERS)
 def test_links_that_meet_are_named(each):
     cell = load_cell(each)
@@ -251,14 +288,48 @@ def test_links_that_meet_are_named(each):
     pytest.fail("no position of 2000 has links that meet")
 
 
-def test_a_law_that_gives_torques_refuses_a_cell_without_masses_or_torques(tmp_path):
-    text = cell_file("ur5").with_name("ur5.urdf").read_text().replace('effort="28.0"', 'effort="0"', 1)
-    (tmp_path / "ur5.urdf").write_text(text)
+@pytest.mark.parametrize(("old", "new", "sentence"), [
+    ('effort="28.0"', 'effort="0"', "needs what the cell does not say: joint wrist_1_joint has no limit of effort"),
+    ('effort="150.0"', 'effort="9"', "joint shoulder_lift_joint gives up to 9, and needs .* to hold the arm at home"),
+])  # fmt: skip
+def test_torques_unknown_or_too_small_are_refused_by_laws_that_give_torques_alone(tmp_path, old, new, sentence):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "ur5.urdf").write_text(text.replace(old, new))
     (tmp_path / "cell.yaml").write_text(cell_file("ur5").read_text())
     cell = load_cell(tmp_path / "cell.yaml")
-    config, model = load_config(cell=cell), ControlledModel(cell)
-    with pytest.raises(ConfigError, match="needs what the cell does not say: joint wrist_1_joint has no limit of eff"):
-        LawSource(config, model, cell.per_joint("limits.torque"), 0.0)
+    model, torque = ControlledModel(cell), cell.per_joint("limits.torque")
+    with pytest.raises(ConfigError, match=sentence):
+        LawSource(load_config(cell=cell), model, torque, 0.0)
+    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text())
+    data["control"] = {"controller": "im_mcs.control.setpoints:SetpointPosition"}
+    settings = {"joints": list(cell.joint_names), "state_topic": "/s", "command_topic": "/c", "period_s": 0.0045}
+    driver = {"driver": "im_mcs.testbed.joint_state:CommandTopicDriver", "settings": settings}
+    data["testbed"] = {"clock": "robot", "drivers": {"robot": driver}}
+    data["slots"] = [
+        {"name": name, "driver": "robot", "channel": channel, "interface": "position"}
+        for channel, name in enumerate(cell.joint_names)
+    ]
+    (tmp_path / "mcs.yaml").write_text(yaml.safe_dump(data))
+    LawSource(load_config(tmp_path / "mcs.yaml", cell), model, torque, 0.0).close()
+
+
+def test_one_joint_is_an_arm_too(tmp_path, bench_of):
+    (tmp_path / "robot.urdf").write_text(TURNTABLE)
+    (tmp_path / "cell.yaml").write_text("urdf: robot.urdf\ngroups: {table: {tip: plate, home: [0.2]}}\n")
+    bench = bench_of(tmp_path / "cell.yaml")
+    bench.to_motion("table")
+    assert bench.move("table", np.array([0.7]))["success"]
+    np.testing.assert_allclose(bench.driver.plant.q, [0.7], atol=5e-4)
+    model, config = CellModel(load_cell(tmp_path / "cell.yaml")), bench.mcs.config
+    pose = model.pose(np.array([-0.4]), "plate")
+    turn = pin.Quaternion(pose.rotation).coeffs().tolist()
+    solver = Kinematics(config, model)
+    found = solver.inverse("table", pose.translation.tolist(), turn, [], model.cell.home, False)
+    np.testing.assert_allclose(found, [-0.4], atol=1e-6)
+    assert solver.forward("table", [0.1], model.cell.home).jacobian.shape == (6, 1)
+    line = {"kind": "line", "poses": [[*pose.translation, *turn]], "speed": 0.05, "blend": 0.0}
+    reply = bench.ask("move", group="table", path=line)
+    assert "joints that carry plate: 1; an arm needs 3 or more" in str(reply)
 
 
 def test_a_cell_in_which_nothing_can_meet_is_watched_all_the_same(tmp_path):

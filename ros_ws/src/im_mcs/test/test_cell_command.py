@@ -77,6 +77,47 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path):
     assert CollisionChecker(model, 0.0).closest(q).distance == CollisionChecker(usual, 0.0).closest(q).distance
 
 
+def test_a_joint_may_have_the_name_of_a_link_and_fixed(tmp_path):
+    """As joints that only hold a frame often have; here, one of them turns."""
+    text = cell_file("ur5").with_name("ur5.urdf").read_text().replace('"elbow_joint"', '"tool0_fixed"')
+    (tmp_path / "robot.urdf").write_text(text)
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot.urdf"))
+    assert CellModel(load_cell(tmp_path / "cell.yaml")).names[2] == "tool0_fixed"
+
+
+def test_an_arm_too_weak_for_the_assumed_acceleration_is_given_less(tmp_path, capsys):
+    """And ``check`` tells joints that cannot follow, or do not even hold the arm."""
+    bare = cell_file("ur5").with_name("ur5.urdf").read_text()
+    told = {}
+    for effort in ("150.0", "60", "9"):
+        (folder := tmp_path / effort).mkdir()
+        (folder / "robot.urdf").write_text(bare.replace('effort="150.0"', f'effort="{effort}"'))
+        text = first_cell(folder / "robot.urdf")
+        assert ("drives:" in text) == (effort != "150.0")
+        for kept, without in ((True, text), (False, re.sub(r"(?s)drives:.*?\n\n", "", text))):
+            (folder / "cell.yaml").write_text(without)
+            capsys.readouterr()
+            assert main(["check", str(folder / "cell.yaml")]) == 0
+            told[effort, kept] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("too ")]
+    assert told["150.0", True] == told["60", True] == []
+    (line,) = told["60", False]
+    assert re.fullmatch(r"too fast: in half of all positions .*: shoulder_lift_joint [1-9]\d %", line)
+    for lines in (told["9", True], told["9", False]):
+        assert [line.split()[2] for line in lines] == ["shoulder_lift_joint"], lines
+
+
+def test_moving_links_without_a_shape_are_told(tmp_path, capsys):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "robot.urdf").write_text(re.sub(r"(?s)<collision>.*?</collision>", "", text))
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot.urdf"))
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "cell.yaml")]) == 0
+    links = "shoulder_link, upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, wrist_3_link"
+    assert f"missing: shapes of {links}; collisions of these links are not seen" in capsys.readouterr().out
+    assert main(["check", "ur5"]) == 0
+    assert "missing: shapes" not in capsys.readouterr().out
+
+
 def test_corners_in_one_plane_but_one_are_enough():
     """The outermost points may all lie in one plane; the one above it belongs to the hull."""
     plane = [(x, y, x + y) for x in (-0.2, 0.2) for y in (-0.1, 0.1)]
@@ -120,6 +161,17 @@ def test_a_first_file_is_a_cell_that_mcs_takes(robot, capsys):
     assert "missing: cameras" in told
     assert re.search(r"assumed: shoulder_pan_joint, .*: no motor; a rotor", told)
     assert robot.with_name("cell.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_first_file_may_stand_in_another_folder(robot, tmp_path, monkeypatch):
+    robot.with_name("robot.srdf").write_text('<robot name="r"/>')
+    (tmp_path / "cells").mkdir()
+    monkeypatch.chdir(tmp_path / "cells")
+    for urdf, output in ((robot, "cell.yaml"), (f"../{robot.name}", str(tmp_path / "cells" / "other.yaml"))):
+        assert main(["new", str(urdf), "--srdf", "../robot.srdf", "--output", output]) == 0
+        data = yaml.safe_load((tmp_path / "cells" / output).read_text())
+        assert (data["urdf"], data["srdf"]) == ("../robot.urdf", "../robot.srdf")
+        assert load_cell(output).joint_names == load_cell("ur5").joint_names
 
 
 def test_a_mesh_is_compared_as_its_hull(robot, capsys):
@@ -267,6 +319,13 @@ def test_links_two_joints_apart_are_compared_unless_they_are_close_by_constructi
         assert links in touching, (name, touching)
 
 
+def test_a_tip_of_any_name_is_drawn(robot):
+    robot.write_text(robot.read_text().replace('"tool0"', '"$\\a$"'))
+    file = robot.with_name("cell.yaml")
+    file.write_text(first_cell(robot))
+    draw(load_cell(file), robot.with_name("cell.png"))
+
+
 @pytest.mark.parametrize("name", shipped_cells())
 def test_links_of_a_shipped_cell_that_are_not_compared_touch_always_or_are_close_by_construction(name):
     """Or never touch."""
@@ -300,6 +359,9 @@ def test_pairs_of_an_srdf_are_taken(robot, capsys):
     told = capsys.readouterr().out
     assert "missing: links that the SRDF names: bass_link" in told
     assert "missing: the file of poses, " in told
+    srdf.write_text('<robot name="r"><disable_collisions link1="base_link"/></robot>')
+    with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: a <disable_collisions> lacks its link1 or link2"):
+        load_cell(shutil.copy(file, robot.with_name("lacking.yaml")))
     srdf.write_text("<robot")
     with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: is not XML"):
         load_cell(shutil.copy(file, robot.with_name("broken.yaml")))
@@ -329,6 +391,10 @@ def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
+    assert main(["check", "ur5", "--picture", str(tmp_path / "cell.bmp")]) == 1
+    assert "cell.bmp: the name of a picture ends in .png, .svg, " in capsys.readouterr().err
+    assert main(["check", str(tmp_path / "still.urdf")]) == 1
+    assert re.search("still.urdf: a URDF is no cell file; `im cell new .*still.urdf --output", capsys.readouterr().err)
     text = cell_file("ur5").with_name("ur5.urdf").read_text()
     (tmp_path / "named.urdf").write_text(text.replace('"elbow_joint"', '"elbow joint"'))
     assert main(["new", str(tmp_path / "named.urdf")]) == 1

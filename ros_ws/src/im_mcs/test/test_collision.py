@@ -6,15 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_cell.robot import load_cell, shipped_cells
 from im_core.errors import DataError, ImError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import Bodies, CollisionChecker
 from im_mcs.collision.braking_distance import BrakingDistance
-from im_mcs.collision.monitor import lever_bounds
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.motion_limits import Synchrony
-from im_mcs.model import CellModel
 from im_mcs.planning import MotionLimits
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.motions.joint import JointPreparation
@@ -170,29 +167,6 @@ def test_distances_agree_with_sampled_capsules(model, cell):
                 assert bodies.distance(pair) == pytest.approx(gap, abs=6e-3)
                 assert bodies.distance(pair) <= gap + 1e-6  # balls are part of the capsule
         assert checker.closest(q).distance <= min(found) + 1e-6
-
-
-@pytest.mark.parametrize("name", shipped_cells())
-def test_no_distance_changes_faster_than_its_bound(name):
-    cell = load_cell(name)
-    bodies = Bodies(model := CellModel(cell))
-    levers = lever_bounds(model, bodies)
-    lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
-    random = np.random.default_rng(4)
-    tightest = np.zeros(model.n)
-    for _ in range(40):
-        a = lower + random.uniform(size=model.n) * (upper - lower)
-        b = a + random.normal(size=model.n) * 0.02 * (random.uniform(size=model.n) < 0.3)
-        bodies.place(a)
-        before = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
-        bodies.place(b)
-        after = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
-        apart = (before > 0.0) & (after > 0.0)
-        bound = levers @ np.abs(b - a)
-        assert (np.abs(after - before) <= bound + 5e-6)[apart].all()
-        tightest = np.maximum(tightest, np.abs(b - a))
-    assert (tightest > 0.0).all()
-    assert levers.max() < 3.0  # and the bounds are of the size of the arms
 
 
 states = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

@@ -63,7 +63,7 @@ def test_presets_partition_all_joints(config, cell):
         (
             "  - {name: right_j6, driver: testbed, channel: 17}\n",
             "",
-            r"mcs.yaml:\d+: slots: where right_j6 is expected is missing",
+            r"mcs.yaml:\d+: slots: joint right_j6 of the cell has no slot",
         ),
         (
             "{name: right_gripper, kind",

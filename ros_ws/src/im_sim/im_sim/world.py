@@ -9,6 +9,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from im_cell.robot import Cell, Gripper, urdf
+from im_cell.robot.urdf import fixed_joint
 from im_core.errors import DataError
 from im_sim.bodies import FIXED, HULLS, LINKS, FreeBodies
 from im_sim.urdf_loader import load_urdf
@@ -156,7 +157,8 @@ class World:
         carriers = dict(zip((link.name for link in cell.links), self._joints, strict=True))
         found = []
         for name, tip in cell.devices("gripper").items():
-            joints = (f"{name.removesuffix('_gripper')}_{part}" for part in ("palm_fixed", "jaw", "gripper"))
+            group = name.removesuffix("_gripper")
+            joints = (fixed_joint(f"{group}_palm"), f"{group}_jaw", name)
             found.append(_Jaws(carriers[cell.tree.carrier(tip).parent], *(self._indices[joint] for joint in joints)))
         return found
 

@@ -21,6 +21,7 @@ from im_cell.workspace import Workspace
 from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.files import FileError, write_whole
+from im_core.names import CELL
 from im_core.text.jsontext import load_json
 
 Array = NDArray[np.float64]
@@ -83,6 +84,17 @@ class _Views(_Section):
 
 class _TargetObservations(_Section):
     target: _Views
+
+
+def require_cell(truth: CellTruth, cell: Cell) -> None:
+    """Refuse the truth of another cell.
+
+    Raises:
+        DataError: It has a joint, light or camera that the cell has not.
+    """
+    known = {*cell.joint_names, *cell.light_names, *cell.cameras}
+    if others := [name for name in (*truth.joints, *truth.leds, *truth.cameras) if name not in known]:
+        raise DataError(f"the cell has not what the testbed has, {', '.join(others)}: {CELL} names that of the machine")
 
 
 def truth_error(

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from im_bringup.calibration.truth import add_to_report, arms_off, place_of
+from im_bringup.calibration.truth import add_to_report, arms_off, place_of, require_cell
 from im_bringup.ros.client_output import DONE
 from im_bringup.ros.interruptible import InterruptibleNode, talk
 from im_cell.calibration_summary import error_lines
@@ -43,10 +43,9 @@ def main() -> int:
         truth = truth_in(answer)
         if arguments.object:
             print(place_of(arguments.object, truth))
-        elif arguments.arm:
-            print(arms_off(truth, load_cell()))
-        else:
-            print(error_lines(add_to_report(path, truth, load_cell())))
+            return DONE
+        require_cell(truth, cell := load_cell())
+        print(arms_off(truth, cell) if arguments.arm else error_lines(add_to_report(path, truth, cell)))
         return DONE
 
     return talk(lambda: InterruptibleNode("truth_error"), measure, "truth_error")

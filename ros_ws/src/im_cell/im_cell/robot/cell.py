@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import UrdfGeometry, UrdfTree, disabled_pairs, parse_description
+from im_cell.robot.description import UrdfGeometry, UrdfJoint, UrdfTree, disabled_pairs, parse_description
 from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     Box,
@@ -45,6 +45,7 @@ _GREY = (0.72, 0.73, 0.75)
 DEFAULT_CELL = "puma_pair"
 _LARGEST_URDF = 8 * MEBIBYTE
 _GRIPPER_PARTS = ("gripper", "palm", "jaw", "jaw_1", "jaw_2")
+_CLASS, _SAID = re.compile("^<class '[^']*'>: "), 120
 _TOPIC = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")
 
 _SHORTEST_S = 1e-4
@@ -107,6 +108,10 @@ class Cell(ObjectsFile):
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
+        if WORLD in description.links and description.root != WORLD:
+            raise FieldError(("urdf",), f"link '{WORLD}' is not its root; no other link may have that name")
+        if description.root == WORLD and self.mount != CellMount():
+            raise FieldError(("mount",), f"the root of the URDF is '{WORLD}' itself, which stands nowhere else")
         for name in self.drives:
             _require(name, joints, ("drives", name), "a joint of the URDF")
         for name, position in self.standing.items():
@@ -123,6 +128,11 @@ class Cell(ObjectsFile):
             for rank, joint in enumerate(group.joints):
                 _require(joint, joints, ("groups", name, "joints", rank), "a joint of the URDF")
             moved = self.joints_of(name)
+            for carrier in self._between(group.tip):
+                if carrier.mimic and carrier.name not in (*self.standing, *group.joints):
+                    text = f"joint {carrier.name} carries {group.tip} and follows {carrier.mimic} (mimic)"
+                    text = f"{text}: no such joint moves here; standing.{carrier.name} can say where it stands"
+                    raise FieldError(("groups", name, "tip"), text)
             for joint in moved:
                 if joint in self.standing:
                     raise FieldError(("standing", joint), f"joint {joint} is in group '{name}', and moves")
@@ -264,13 +274,17 @@ class Cell(ObjectsFile):
 
     def carriers_of(self, link: str) -> tuple[str, ...]:
         """Return the names of the joints below a link, in order, mimic joints left out."""
-        names: list[str] = []
+        carriers = (each for each in self._between(link) if each.kind != "fixed" and not each.mimic)
+        return tuple(joint.name for joint in carriers if joint.name not in self.standing)
+
+    def _between(self, link: str) -> list[UrdfJoint]:
+        """Return the joints between the root and a link, in order."""
+        found: list[UrdfJoint] = []
         of = {joint.child: joint for joint in self.description.joints}
         while link in of:
-            joint = of[link]
-            names += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
-            link = joint.parent
-        return tuple(reversed(names))
+            found.insert(0, of[link])
+            link = of[link].parent
+        return found
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:
@@ -456,7 +470,8 @@ def robot_text(path: Path) -> str:
         try:
             return str(xacro.process_file(str(path)).toxml())
         except Exception as error:  # of any kind: macros run expressions
-            raise ConfigError(f"{path}: xacro cannot expand it: {shortened(str(error))}", file=str(path)) from error
+            told = " ".join(_CLASS.sub("", str(error)).split())
+            raise ConfigError(f"{path}: xacro cannot expand it: {shortened(told, _SAID)}", file=str(path)) from error
     try:
         return read_text(path, _LARGEST_URDF)
     except FileError as error:
@@ -473,9 +488,11 @@ def cell_file(named: Path | str) -> Path:
     """Return the file of a cell, named as a shipped one or as a path.
 
     Raises:
-        ConfigError: It is a name, and no cell is shipped under it.
+        ConfigError: It is a name, and no cell is shipped under it; or it is a URDF.
     """
     path = Path(named)
+    if path.suffix in (".urdf", ".xacro"):
+        raise ConfigError(f"{path}: a URDF is no cell file; `im cell new {path} --output cell.yaml` writes one of it")
     if path.exists() or path.suffix or path.name != str(named):
         return path
     if path.name not in (known := shipped_cells()):

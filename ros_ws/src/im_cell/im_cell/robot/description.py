@@ -14,6 +14,9 @@ from im_core.errors import ConfigError, shortened
 MOVING = ("revolute", "continuous", "prismatic")
 _MOST_LINKS = 500
 _ROUNDING = 1e-6
+_LONGEST_NAME = 100
+_LARGEST_GYRATION_M = 5.0
+"""Of a link's radius of gyration: the half length of the longest link; one in kg mm2 seems to have ten or more."""
 _LARGEST_RAD = 30.0
 """Of a limit of an angle: no joint with limits makes five turns to a side, but one in degrees seems to."""
 _MOST_LOAD = 20.0
@@ -125,8 +128,11 @@ def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
     Raises:
         ConfigError: It is not XML or no SRDF.
     """
-    pairs = _robot(text, name).findall("disable_collisions")
-    return frozenset(frozenset((each.get("link1", ""), each.get("link2", ""))) for each in pairs)
+    pairs = [(each.get("link1"), each.get("link2")) for each in _robot(text, name).findall("disable_collisions")]
+    named = [frozenset((first, second)) for first, second in pairs if first and second]
+    if len(named) < len(pairs):
+        raise ConfigError(f"{name}: a <disable_collisions> lacks its link1 or link2", file=name)
+    return frozenset(named)
 
 
 def _robot(text: str, name: str) -> ET.Element:
@@ -175,6 +181,12 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
     if len(ordered) < len(joints):
         lost = sorted(names - {joint.name for joint in ordered})
         raise ValueError(f"joints {', '.join(lost)} are a closed chain, which the root does not carry")
+    away = {roots[0]: 0.0}
+    for joint in ordered:
+        away[joint.child] = away[joint.parent] + math.hypot(*joint.xyz)
+    if (far := max(away.values())) > LARGEST_M:
+        told = f"its links are up to {far:.3g} m from {roots[0]}, beyond {LARGEST_M:g} m"
+        raise ValueError(f"{told}: lengths are millimetres, it seems")
     return UrdfTree(roots[0], ordered, links)
 
 
@@ -205,6 +217,9 @@ def _link(element: ET.Element) -> UrdfLink:
         least = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0]
         if least < -_ROUNDING * max(inertia):
             raise ValueError(f"link {name}: its principal moments of inertia, of which one is {least:.3g}, cannot be")
+        if mass > 0.0 and (gyration := math.sqrt(max(inertia) / mass)) > _LARGEST_GYRATION_M:
+            told = f"link {name} of {mass:g} kg has {max(inertia):g} kg m2, as if {gyration:.3g} m away from its centre"
+            raise ValueError(f"{told}: inertias are kg mm2, it seems")
     return UrdfLink(name, mass, xyz, rpy, inertia, tuple(_shape(each, name) for each in element.findall("collision")))
 
 
@@ -218,7 +233,8 @@ def _shape(element: ET.Element, link: str) -> UrdfGeometry:
         return UrdfGeometry("cylinder", _sizes(size, link), "", xyz, rpy)
     if (sphere := geometry.find("sphere")) is not None:
         return UrdfGeometry("sphere", _sizes((_number(sphere, "radius", link),), link), "", xyz, rpy)
-    mesh = _child(geometry, "mesh", link)
+    if (mesh := geometry.find("mesh")) is None:
+        raise ValueError(f"{link}: a shape for collision is none of box, cylinder, sphere, mesh")
     scale = _numbers(mesh.get("scale", "1 1 1"), 3, link)
     _sizes(tuple(map(abs, scale)), link)  # mirrored meshes have a scale below 0
     if not (file := mesh.get("filename", "")):
@@ -250,6 +266,8 @@ def _joint(element: ET.Element) -> UrdfJoint:
         axis = (x, y, z) if abs(length - 1.0) < 1e-12 or length < 1e-9 else (x / length, y / length, z / length)
     values = {key: _number(limit, key, name) if limit is not None and limit.get(key) is not None else None
               for key in ("lower", "upper", "velocity", "effort")}  # fmt: skip
+    if values["lower"] is not None or values["upper"] is not None:  # of the two that are missing, URDF means 0
+        values["lower"], values["upper"] = values["lower"] or 0.0, values["upper"] or 0.0
     for key in ("velocity", "effort"):
         if (values[key] or 0.0) < 0.0:
             raise ValueError(f"joint {name}: its limit of {key} is {values[key]:g}; more than 0 is needed")
@@ -270,7 +288,9 @@ def _name(element: ET.Element, what: str) -> str:
         raise ValueError(f"a {what} has no name")
     if sign := next((sign for sign in name if sign in "<>&\"'"), ""):
         raise ValueError(f"{what} '{shortened(name)}': no name may have the sign {sign}")
-    return shortened(name)
+    if len(name) > _LONGEST_NAME:
+        raise ValueError(f"{what} '{shortened(name)}': its name has {len(name)} letters; {_LONGEST_NAME} are allowed")
+    return name
 
 
 def _child(element: ET.Element, tag: str, of: str) -> ET.Element:

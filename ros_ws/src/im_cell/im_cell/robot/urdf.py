@@ -47,6 +47,11 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool
     return _robot(lines)
 
 
+def fixed_joint(link: str) -> str:
+    """Return the name of the joint that fixes a link: with a dash, which no joint of a group has."""
+    return f"{link}-fixed"
+
+
 def scenery_urdf(cell: Cell) -> str:
     """Return the scenery as URDF: the standing boxes, for drawing."""
     return _robot(['<link name="world">', *_standing(cell), "</link>"])
@@ -157,7 +162,7 @@ def _joint(joint: Joint, limits: Limits) -> list[str]:
 def _fixed(name: str, parent: str, xyz: Vector, rpy: Vector, shapes: list[str] | None = None) -> list[str]:
     return [
         *([f'<link name="{name}">', *shapes, "</link>"] if shapes else [f'<link name="{name}"/>']),
-        f'<joint name="{name}_fixed" type="fixed">',
+        f'<joint name="{fixed_joint(name)}" type="fixed">',
         f'<parent link="{parent}"/>',
         f'<child link="{name}"/>',
         _origin(xyz, rpy),

@@ -15,7 +15,8 @@ from im_core.options import NumberParser
 from im_core.output import complain, say
 from im_mcs.cell.capsules import capsule_volume
 from im_mcs.cell.semantics import moveit_files
-from im_mcs.cell.template import first_cell, touching_pairs
+from im_mcs.cell.template import first_cell, samples_of, touching_pairs
+from im_mcs.cell.torques import acceleration_share
 from im_mcs.cell.views import foxglove_layout, rviz_config
 from im_mcs.collision.bodies import hull_of
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.command == "new":
-            text = first_cell(options.urdf, options.srdf)
+            text = first_cell(options.urdf, options.srdf, options.output and options.output.parent)
             if options.output is None:
                 say(text.removesuffix("\n"))
                 return 0
@@ -85,9 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     new.add_argument(
         "--srdf",
         type=Path,
-        help="pairs of links not compared, beside the URDF (default: all that always touch)",
+        help="pairs of links not compared (default: all that always touch)",
     )
-    new.add_argument("--output", type=Path, help="file to write, beside the URDF (default: standard output)")
+    new.add_argument("--output", type=Path, help="file to write (default: standard output, for the folder of the URDF)")
     check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
     check.add_argument("cell", help="cell file, or name of a shipped cell")
     check.add_argument("--picture", type=Path, help="file for a picture of the cell at home, such as cell.png")
@@ -118,17 +119,18 @@ def exported(cell: Cell, mcs: Path | None, folder: Path) -> list[Path]:
 
 def findings(cell: Cell, file: str) -> list[str]:
     """Return sentences about a cell: its groups, missing and assumed data."""
-    lines = [f"{file}: {len(cell.joints)} joints"]
+    lines = [f"{file}: {_joints(len(cell.joints))}"]
     model = CellModel(cell)
     for name, group in cell.groups.items():
         devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]
         with_ = f", with {' and '.join(devices)}" if devices else ""
-        lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
+        lines.append(f"group {name}: {_joints(len(cell.joints_of(name)))} to {group.tip}{with_}")
         if (count := len(cell.carriers_of(group.tip))) < ARM_JOINTS:
             lines.append(f"group {name}: {_KEPT.get(count, _NO_LINES)}")
         closed = ClosedForm.of(model, group.tip, model.joints_below(group.tip))
         lines.append(f"group {name}: inverse kinematics {_BUILD[None if closed is None else closed.spherical]}")
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
+    lines += [] if cell.unknown else _weak(cell, model)
     lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
     lines += [f"assumed: {sentence}" for sentence in cell.assumed]
     lines += _shapes(cell)
@@ -136,10 +138,37 @@ def findings(cell: Cell, file: str) -> list[str]:
     return lines
 
 
+def _joints(count: int) -> str:
+    return "1 joint" if count == 1 else f"{count} joints"
+
+
+def _weak(cell: Cell, model: CellModel) -> list[str]:
+    """Return sentences about joints without the torque for what is asked of them."""
+    torque, holding = cell.per_joint("limits.torque"), np.abs(model.gravity(cell.home))
+    lines = [
+        f"too weak: {name} gives up to {given:g}, and needs {needed:.3g} to hold the arm at home [Nm or N]"
+        for name, given, needed in zip(cell.joint_names, torque, holding, strict=True)
+        if needed > given
+    ]
+    shares = acceleration_share(cell, samples_of(cell, 0.0))
+    if shares.min() < 1.0 and not lines:
+        told = ", ".join(
+            f"{name} {100.0 * max(share, 0.0):.0f} %"
+            for name, share in zip(cell.joint_names, shares, strict=True)
+            if share < 1.0
+        )
+        lines.append(f"too fast: in half of all positions torques afford only part of full acceleration: {told}")
+    return lines
+
+
 def _shapes(cell: Cell) -> list[str]:
-    """Return sentences about the compared shapes."""
+    """Return sentences about the compared shapes, and the moving links without one."""
+    shaped = {*(body.link for body in cell.bodies), *(hull.link for hull in cell.hulls)}
+    seen = {cell.tree.carrier(link).parent for link in shaped}
+    bare = [link.name for link in cell.links if link.name not in seen]
+    lines = [f"missing: shapes of {', '.join(bare)}; collisions of these links are not seen"] if bare else []
     rounded = dict.fromkeys(body.link for body in cell.capsules_compared)
-    lines = [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
+    lines += [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
     for link in dict.fromkeys(hull.link for hull in cell.hulls):
         own = [hull for hull in cell.hulls if hull.link == link]
         litres = 1e3 * sum(hull_of(np.array(hull.points)).computeVolume() for hull in own)

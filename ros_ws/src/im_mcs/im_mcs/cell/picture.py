@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from im_cell.robot import Cell
+from im_core.errors import DataError
 from im_mcs.model import CellModel
 
+_KINDS = (".png", ".svg", ".pdf", ".jpg")
 _VIEWS = (("x [m]", "z [m]", 0, 2), ("y [m]", "z [m]", 1, 2), ("x [m]", "y [m]", 0, 1))
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _THINNEST_M = 1e-4
@@ -21,8 +23,11 @@ def draw(cell: Cell, file: Path) -> None:
     """Draw the shapes that are compared, to scale, and the tips at home, from the front, the side and above.
 
     Raises:
+        DataError: The name of the file is none of a picture.
         OSError: The file cannot be written.
     """
+    if file.suffix not in _KINDS:
+        raise DataError(f"{file}: the name of a picture ends in {', '.join(_KINDS)}", file=str(file))
     model = CellModel(cell)
     shapes = [
         *((hull.link, hull.points, hull.radius) for hull in cell.hulls),
@@ -38,7 +43,7 @@ def draw(cell: Cell, file: Path) -> None:
         for group in cell.groups.values():
             place = model.pose(cell.home, group.tip).translation[sides]
             axes.plot(*place, "kx")
-            axes.annotate(group.tip, place, fontsize=7)
+            axes.annotate(group.tip, place, fontsize=7, parse_math=False)
         axes.set(xlabel=across, ylabel=up, aspect="equal")
         axes.autoscale_view()
     figure.savefig(file, dpi=120)

@@ -1,6 +1,7 @@
 """The first cell file of a URDF: groups, homes, capsules and hulls, asking nothing that the URDF shows."""
 
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from im_core.errors import ConfigError, DataError
 from im_core.text.yamltext import write_yaml
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.cell.hulls import enclosing_hulls
+from im_mcs.cell.torques import acceleration_share
 from im_mcs.collision.bodies import NEIGHBOURS, Bodies
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.inverse.arm import FEWEST_JOINTS
@@ -35,15 +37,19 @@ _FLOOR = {"link": "world", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
 _JAW_M = 0.1
 """A last sliding joint of a shorter stroke is a jaw, one of a longer stroke an axis, as of a gantry."""
 _HOME_MARGIN = 0.2
+_SLOWEST, _SPARE = 0.05, 0.95
+"""Least share of the assumed acceleration: with less, an arm only seems to move; and the used part of what torques
+afford."""
 _CLEAR_M = (0.05, 0.02)
 
 
-def first_cell(urdf: Path, srdf: Path | None = None) -> str:
+def first_cell(urdf: Path, srdf: Path | None = None, folder: Path | None = None) -> str:
     """Return the text of a cell file for a URDF.
 
     Args:
         urdf: The file.
         srdf: Pairs of links that are not compared (MoveIt's SRDF); None: those that always touch are found.
+        folder: Folder of the cell file; None: that of the URDF.
 
     Raises:
         ConfigError: The URDF or SRDF is missing or wrong, or nothing in it moves.
@@ -73,7 +79,11 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
     never = () if srdf is not None else _never(cell)
     home = _home(cell.model_copy(update={"never": never}))
-    return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never, floor)
+    slower = _slower(cell)
+    files = {
+        key: os.path.relpath(file, folder or urdf.parent) for key, file in (("urdf", urdf), ("srdf", srdf)) if file
+    }
+    return _written(urdf.name, files, grouped, tips, home, slower, capsules, hulls, never, floor)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -136,7 +146,7 @@ def _middle(joint: UrdfJoint) -> float:
     return 0.0 if joint.lower < 0.0 < joint.upper else (joint.lower + joint.upper) / 2.0
 
 
-def _samples(cell: Cell, margin: float) -> NDArray[np.float64]:
+def samples_of(cell: Cell, margin: float) -> NDArray[np.float64]:
     """Return random positions, a share of the range away from its ends, shape (k, n) [rad or m]."""
     draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(cell.joints)))
     lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
@@ -151,7 +161,7 @@ def _never(cell: Cell) -> list[tuple[str, str]]:
     for pair in range(len(bodies.pairs)):
         shapes.setdefault(bodies.pair_names(pair), []).append(pair)
     distances: dict[tuple[str, str], list[float]] = {names: [] for names in shapes}
-    for q in _samples(cell, 0.0):
+    for q in samples_of(cell, 0.0):
         bodies.place(q)
         for names, pairs in shapes.items():
             distances[names].append(min(map(bodies.distance, pairs)))
@@ -175,7 +185,7 @@ def _home(cell: Cell) -> list[float]:
     arms = [ArmTracker(model, Arm(model, tip), tip) for tip in tips]
     best, found, met = 0.0, cell.home, Counter[tuple[str, str]]()
     tried = []
-    for q in (cell.home, *_samples(cell, _HOME_MARGIN)):
+    for q in (cell.home, *samples_of(cell, _HOME_MARGIN)):
         bodies.place(q)
         tried.append((q, bodies.closest()))
     clear_m = next((clear for clear in _CLEAR_M if any(near.distance >= clear for _, near in tried)), np.inf)
@@ -193,12 +203,24 @@ def _home(cell: Cell) -> list[float]:
     return [round(float(value), 3) for value in found]
 
 
+def _slower(cell: Cell) -> dict[str, float]:
+    """Return the acceleration of each joint where torques do not afford the assumed one, by joint [rad/s2 or m/s2]."""
+    if cell.unknown:
+        return {}
+    share = float(acceleration_share(cell, samples_of(cell, 0.0)).min())
+    if share >= 1.0:
+        return {}
+    at_once = max(_SPARE * share, _SLOWEST) * cell.per_joint("limits.acceleration")
+    return {name: float(f"{value:.2g}") for name, value in zip(cell.joint_names, at_once, strict=True)}
+
+
 def _written(
-    urdf: Path,
-    srdf: Path | None,
+    robot: str,
+    files: Mapping[str, str],
     grouped: Mapping[str, Sequence[UrdfJoint]],
     tips: Sequence[str],
     home: Sequence[float],
+    slower: Mapping[str, float],
     capsules: Sequence[Capsule],
     hulls: Sequence[Hull],
     never: Sequence[tuple[str, str]],
@@ -206,11 +228,8 @@ def _written(
 ) -> str:
     names = [joint.name for joint in _ordered(grouped)]
     at = dict(zip(names, home, strict=True))
-    lines = [
-        f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.",
-        f"urdf: {_plain(urdf.name)}",
-    ]
-    lines += [*([] if srdf is None else [f"srdf: {_plain(srdf.name)}"]), "", "groups:"]
+    lines = [f"# First cell file of {robot}; `im cell check` says what it leaves open."]
+    lines += [*(f"{key}: {_plain(file)}" for key, file in files.items()), "", "groups:"]
     for (name, joints), tip in zip(grouped.items(), tips, strict=True):
         lines += [
             f"  {name}:",
@@ -218,6 +237,9 @@ def _written(
             f"    joints: [{', '.join(_plain(each.name) for each in joints)}]",
         ]
         lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
+    if slower:
+        lines += ["", "drives:                 # accelerations that the torques afford, all joints at once"]
+        lines += [f"  {_plain(joint)}: {{acceleration: {value:g}}}" for joint, value in slower.items()]
     lines += ["", "capsules:               # around the shapes of the links"] if capsules else []
     for each in capsules:
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))

@@ -7,7 +7,6 @@ from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_core.errors import DataError
@@ -24,8 +23,8 @@ def lever_bounds(model: CellModel, bodies: Bodies) -> NDArray[np.float64]:
     """Largest change of each pair's distance by unit motion of each joint, shape (pairs, joints) [m/rad or 1].
 
     A point that a revolute joint carries moves by at most the angle times its distance from the axis; that distance is
-    at most what the offsets of the joints in between add up to. A joint that carries both bodies of a pair, or none of
-    them, does not change their distance.
+    at most what the offsets of the joints in between add up to, those that slide with their longest way. A joint that
+    carries both bodies of a pair, or none of them, does not change their distance.
     """
     carried = np.array([_levers(model, joint, ends.tobytes()) for joint, ends in bodies.ends]).reshape(-1, model.n)
     first, second = carried[bodies.pairs[:, 0]], carried[bodies.pairs[:, 1]]
@@ -43,22 +42,17 @@ def _levers(model: CellModel, joint: int, ends: bytes) -> NDArray[np.float64]:
 
 def _lever(model: CellModel, carrier: int, between: list[int], ends: NDArray[np.float64]) -> float:
     """Bound of the distance from the axis of ``carrier`` to the ends of a body, over the joints ``between``."""
-    if model.cell.joints[carrier - 1].kind == "prismatic":
+    joints = model.cell.joints
+    if joints[carrier - 1].kind == "prismatic":
         return 1.0
-    axis = _axis(model, carrier)
+    axis = np.array(joints[carrier - 1].axis)
     if not between:
         return float(max(_off_axis(axis, end) for end in ends))
     offsets = [model.pin.jointPlacements[joint].translation for joint in between]
     along = [_off_axis(axis, offsets[0]), *(float(np.linalg.norm(offset)) for offset in offsets[1:])]
-    return sum(along) + float(np.linalg.norm(ends, axis=1).max())
-
-
-def _axis(model: CellModel, joint: int) -> NDArray[np.float64]:
-    """Return the axis of a revolute joint in the joint's frame, shape (3,)."""
-    data = model.pin.createData()
-    q = pin.neutral(model.pin)
-    jacobian = pin.computeJointJacobian(model.pin, data, q, joint)
-    return np.asarray(jacobian[3:, joint - 1])
+    sliding = [joints[joint - 1].limits for joint in between if joints[joint - 1].kind == "prismatic"]
+    ways = [max(abs(limits.lower), abs(limits.upper)) for limits in sliding]
+    return sum(along) + sum(ways) + float(np.linalg.norm(ends, axis=1).max())
 
 
 def _off_axis(axis: NDArray[np.float64], point: NDArray[np.float64]) -> float:

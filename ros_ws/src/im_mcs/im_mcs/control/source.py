@@ -30,15 +30,21 @@ class LawSource:
         wall_period_s: Wall time between ticks [s]; 0: the loop has no deadlines.
 
     Raises:
-        ConfigError: A law of its own process cannot be made, or the cell lacks masses or largest torques.
+        ConfigError: A law of its own process cannot be made, the cell lacks masses or largest torques, or
+            these do not hold the arms at home.
         LinkError: Its process was not ready in time.
     """
 
     def __init__(
         self, config: McsConfig, model: ControlledModel, torque_limit: NDArray[np.float64], wall_period_s: float
     ) -> None:
-        if unknown := model.cell.unknown:
+        if (driven := list(config.ranks_of("effort"))) and (unknown := model.cell.unknown):
             raise ConfigError(f"a law that gives torques needs what the cell does not say: {'; '.join(unknown)}")
+        holding = np.abs(model.gravity(model.cell.home))
+        for rank in driven:
+            if holding[rank] > torque_limit[rank]:
+                told = f"joint {model.names[rank]} gives up to {torque_limit[rank]:g}, and needs {holding[rank]:.3g}"
+                raise ConfigError(f"{told} to hold the arm at home [Nm or N]", joint=model.names[rank])
         self._config, self._model, self._torque_limit = config, model, torque_limit
         self._patience_s = config.law_processes.patience * wall_period_s or _UNPACED_PATIENCE_S
         self._groups = [(preset, name) for preset, groups in config.presets.items() for name in groups]

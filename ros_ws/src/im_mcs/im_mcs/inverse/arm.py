@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_core.errors import StateError
-from im_mcs.model import CellModel
+from im_mcs.model import CellModel, jacobian_of
 
 ARM_JOINTS = 6
 FEWEST_JOINTS = 3
@@ -43,7 +43,7 @@ class Arm:
         self._model = model
         ranks = model.joints_below(frame)
         if len(ranks) < FEWEST_JOINTS:
-            text = f"{frame} hangs on {len(ranks)} joints; an arm of {FEWEST_JOINTS} or more is needed"
+            text = f"joints that carry {frame}: {len(ranks)}; an arm needs {FEWEST_JOINTS} or more"
             raise StateError(text, frame=frame)
         self.joints, self.carriers = ranks[-ARM_JOINTS:], ranks[:-ARM_JOINTS]
         self._data = model.pin.createData()
@@ -142,10 +142,7 @@ class Arm:
 
     def _jacobian(self, q_all: NDArray[np.float64]) -> NDArray[np.float64]:
         """Columns of the arm's joints along the axes of the frame, shape (6, n)."""
-        frame = pin.ReferenceFrame.LOCAL
-        return np.asarray(
-            pin.computeFrameJacobian(self._model.pin, self._data, q_all, self._frame, frame)[:, self.joints]
-        )
+        return jacobian_of(self._model.pin, self._data, q_all, self._frame, pin.ReferenceFrame.LOCAL)[:, self.joints]
 
     def _has_wrist(self) -> bool:
         """Whether the determinant is the product of the three factors, but for a constant one."""

@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_mcs.inverse.arm import Arm
-from im_mcs.model import CellModel
+from im_mcs.model import CellModel, jacobian_of
 
 _ITERATIONS = 8
 _PRECISION = 1e-11
@@ -198,9 +198,7 @@ class ArmTracker:
         return float(np.linalg.svd(jacobian * self._scale, compute_uv=False)[-1])
 
     def _jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(
-            pin.computeFrameJacobian(self._pin, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        )
+        return jacobian_of(self._pin, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
 
 
 def _angle(turn: NDArray[np.float64], axis: NDArray[np.float64]) -> float:

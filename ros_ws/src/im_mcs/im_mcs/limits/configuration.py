@@ -366,9 +366,10 @@ class McsConfig(Model):
                 raise FieldError(("slots", rank, "name"), text)
         for slot, joint in zip_longest(self.joint_slots, cell.joint_names) if self.slots else ():
             if slot is None or slot.name != joint:
-                found = "missing" if slot is None else f"the slot of {slot.name}"
-                text = f"where {joint} is expected is {found}; joint slots have the order of the cell's joints"
-                raise FieldError(("slots",) if slot is None else ("slots", self.slots.index(slot), "name"), text)
+                if slot is None:
+                    raise FieldError(("slots",), f"joint {joint} of the cell has no slot")
+                text = f"where {joint} is expected is the slot of {slot.name}; joint slots have the order of the cell's"
+                raise FieldError(("slots", self.slots.index(slot), "name"), f"{text} joints")
 
     def _check_groups(self, presets: Mapping[str, Mapping[str, Group]], joints: Mapping[str, Interface]) -> None:
         for preset, groups in presets.items():

@@ -129,11 +129,23 @@ class CellModel:
         Raises:
             NotFoundError: There is no such frame.
         """
-        return np.asarray(
-            pin.computeFrameJacobian(
-                self.pin, self._data, q, self.frame_id(frame), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
-        )
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        return jacobian_of(self.pin, self._data, q, self.frame_id(frame), axes)
+
+
+def jacobian_of(
+    model: pin.Model, data: pin.Data, q: NDArray[np.float64], frame: int, axes: pin.ReferenceFrame
+) -> NDArray[np.float64]:
+    """Return the velocity of a frame's origin for each joint's, shape (6, n); of one joint pinocchio makes a vector.
+
+    Args:
+        model: The arms.
+        data: Memory of pinocchio for them.
+        q: Positions of all joints, shape (n,) [rad or m].
+        frame: Identifier.
+        axes: Along which the velocity is.
+    """
+    return np.asarray(pin.computeFrameJacobian(model, data, q, frame, axes)).reshape(6, -1)
 
 
 def place_of(index: NDArray[np.intp]) -> Place:
