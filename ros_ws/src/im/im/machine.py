@@ -24,6 +24,7 @@ from im.heartbeats import Heartbeats, Watch
 from im.messages import message_of, number_of
 from im.objects import DataObjects
 from im.vision import Camera, Position, stereo
+from im_core.files import FileError
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Firing, McsState
 from im_msgs.srv import ListCommands, LoadNet, SetLight, UnloadNet
@@ -303,7 +304,7 @@ class Machine:
         """Give the Dispatcher a net, live after verification; return the verdict.
 
         Args:
-            net: Path of a net file, or the text of one (with a line break).
+            net: Path of a net file, sent with the files that it includes, or the text of one (with a line break).
             wait: Longest wait for the present net of the name to come to rest [s].
             source: Name of a text in messages; empty: ``net``. A file has its path.
 
@@ -311,18 +312,19 @@ class Machine:
             MachineError: The file cannot be read, or the net was refused; the firing sequence that shows why is the
                 fact ``counterexample``.
         """
+        from im.net_files import read_net_file  # YAML is for this alone: programs begin sooner without it
+
         is_text, longest = "\n" in str(net), number_of("wait", wait)
         try:
-            text = str(net) if is_text else Path(net).read_text(encoding="utf-8")
-        except (OSError, TypeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise MachineError(f"net file {net!s:.200} cannot be read: {why}", "file") from error
-        answer = self.connection.call(
-            LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, net_yaml=text, wait=longest
-        )
+            text, included = (str(net), {}) if is_text else read_net_file(net)
+        except (FileError, TypeError) as error:
+            why = error.message if isinstance(error, FileError) else f"{net!s:.200}: {error}"
+            raise MachineError(f"net file {why}", "file") from error
+        sent = {"net_yaml": text, "included": list(included), "included_yaml": list(included.values())}
+        answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, wait=longest, **sent)
         named = str(source if is_text else net)
         if named:  # the Dispatcher knows no name of a text
-            answer.message = re.sub(r"^net(?=:\d+:)", lambda _: named, answer.message)
+            answer.message = re.sub(r"(^|(?<= in ))net(?=:\d+:)", lambda _: named, answer.message)
         return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
 
     def unload_net(self, name: str, wait: float = 0.0) -> None:
