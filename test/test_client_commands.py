@@ -170,9 +170,9 @@ class Loading(Dispatcher):
 def test_a_net_that_is_refused_is_named_by_its_file(machine, tmp_path):
     im, file = machine(Loading()), tmp_path / r"a\1.yaml"
     file.write_text("net: a")
-    for given, source, named in ((file, "", file), ("net: a\n", "b.yaml", "b.yaml"), ("net: a\n", "", "net")):
+    for given, named in ((file, file), ("net: a\n", "net")):
         with pytest.raises(MachineError) as caught:
-            im.load_net(given, source=source)
+            im.load_net(given)
         assert caught.value.message == f"{named}:3:5: places.net:1:2: there is no such thing, used in {named}:7:1"
 
 

@@ -300,13 +300,12 @@ class Machine:
         """
         return self._trigger("/mcs/reset")
 
-    def load_net(self, net: str | Path, wait: float = 0.0, source: str = "") -> str:
+    def load_net(self, net: str | Path, wait: float = 0.0) -> str:
         """Give the Dispatcher a net, live after verification; return the verdict.
 
         Args:
             net: Path of a net file, sent with the files that it includes, or the text of one (with a line break).
             wait: Longest wait for the present net of the name to come to rest [s].
-            source: Name of a text in messages; empty: ``net``. A file has its path.
 
         Raises:
             MachineError: The file cannot be read, or the net was refused; the firing sequence that shows why is the
@@ -322,9 +321,8 @@ class Machine:
             raise MachineError(f"net file {why}", "file") from error
         sent = {"net_yaml": text, "included": list(included), "included_yaml": list(included.values())}
         answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, wait=longest, **sent)
-        named = str(source if is_text else net)
-        if named:  # the Dispatcher knows no name of a text
-            answer.message = re.sub(r"(^|(?<= in ))net(?=:\d+:)", lambda _: named, answer.message)
+        if not is_text:  # the Dispatcher knows no name of a text
+            answer.message = re.sub(r"(^|(?<= in ))net(?=:\d+:)", lambda _: str(net), answer.message)
         return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
 
     def unload_net(self, name: str, wait: float = 0.0) -> None:
