@@ -339,6 +339,11 @@ def test_a_made_up_heartbeat_is_no_new_incarnation_of_a_task_that_lives(machine,
     wait_until(lambda: heartbeats.incarnation("dispatcher") == 9, "the new incarnation")
 
 
+def test_a_time_to_wait_that_is_none_is_refused():
+    with pytest.raises(MachineError, match=r"^timeout is -1 s; 0 s or more is needed$"):
+        Machine.connect(timeout=-1)
+
+
 def test_nothing_answers_where_no_machine_runs():
     with pytest.raises(UnreachableError, match=r"no machine runs in ROS domain \d+: none was heard within 1 s"):
         Machine.connect(timeout=1.0)
@@ -346,7 +351,15 @@ def test_nothing_answers_where_no_machine_runs():
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
-    [({"width": float("nan")}, "the arguments of move are no JSON"), ({"priority": 11}, "priority 11 is not from -10")],
+    [
+        (
+            {"width": float("nan")},
+            "^move: argument width is nan; finite numbers, texts, lists and mappings can be sent$",
+        ),
+        ({"to": [0.0, np.inf]}, r"^move: argument to is \[0\.0, inf\]; finite"),
+        ({"to": object}, "^move: argument to is <class 'object'>; finite"),
+        ({"priority": 11}, "priority 11 is not from -10"),
+    ],
 )
 def test_arguments_that_cannot_be_sent_are_refused_here(machine, arguments, sentence):
     client = machine(node := Dispatcher())

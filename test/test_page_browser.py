@@ -238,6 +238,10 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
         each.until("document.querySelectorAll('.node.stops').length === 1", "the breakpoint in each tab")
     operates.until("document.querySelector('#command option[value=go]') !== null", "the command")
     operates.page.fill("#arguments [name=goal]", "the door")
+    for wrong in ("fast", "1e400"):
+        operates.page.fill("#arguments [name=speed]", wrong)
+        operates.page.click("#start button")
+        assert operates.page.inner_text("#answer") == f"go: {wrong} is no number"
     operates.page.fill("#arguments [name=speed]", "7")
     operates.page.click("#start button")
     operates.until("document.getElementById('answer').classList.contains('bad')", "the refusal")

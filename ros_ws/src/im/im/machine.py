@@ -70,8 +70,10 @@ class Machine:
 
         Raises:
             UnreachableError: No machine was heard, or its Dispatcher is not ready.
+            MachineError: There is no such ROS domain, or the timeout is no time.
         """
-        number_of("timeout", timeout)
+        if number_of("timeout", timeout) < 0.0:
+            raise MachineError(f"timeout is {timeout:g} s; 0 s or more is needed", "argument")
         connection = Connection(domain)
         try:
             heartbeats = Heartbeats(connection, watch)
@@ -401,10 +403,14 @@ class Machine:
         return control(self.connection, number, request)
 
     def _goal(self, name: str, priority: int, arguments: Mapping[str, object]) -> ExecuteCommand.Goal:
-        try:
-            text = json.dumps(arguments, allow_nan=False, default=_plain)
-        except (TypeError, ValueError) as error:
-            raise MachineError(f"the arguments of {name} are no JSON: {error}", "argument") from error
+        for argument, value in arguments.items():
+            try:
+                json.dumps(value, allow_nan=False, default=_plain)
+            except (TypeError, ValueError) as error:
+                allowed = "finite numbers, texts, lists and mappings can be sent"
+                sentence = f"{name}: argument {argument} is {value!r:.200}; {allowed}"
+                raise MachineError(sentence, "argument", {"field": argument}) from error
+        text = json.dumps(arguments, default=_plain)
         goal: ExecuteCommand.Goal = message_of(ExecuteCommand.Goal, symbol=name, arguments=text, priority=priority)
         if not -10 <= goal.priority <= 10:
             raise MachineError(f"priority {priority} is not from -10 to 10", "argument")
