@@ -162,17 +162,33 @@ class Loading(Dispatcher):
         self.create_service(LoadNet, "/dispatcher/load_net", self._refuse)
 
     def _refuse(self, request, response):
-        response.message = "net:3:5: places.net:1:2: there is no such thing"
+        self.sent = dict(zip(request.included, request.included_yaml, strict=True))
+        response.message = "net:3:5: places.net:1:2: there is no such thing, used in net:7:1"
         return response
 
 
 def test_a_net_that_is_refused_is_named_by_its_file(machine, tmp_path):
     im, file = machine(Loading()), tmp_path / r"a\1.yaml"
     file.write_text("net: a")
-    for given, source, named in ((file, "", file), ("net: a\n", "b.yaml", "b.yaml"), ("net: a\n", "", "net")):
+    for given, named in ((file, file), ("net: a\n", "net")):
         with pytest.raises(MachineError) as caught:
-            im.load_net(given, source=source)
-        assert caught.value.message == f"{named}:3:5: places.net:1:2: there is no such thing"
+            im.load_net(given)
+        assert caught.value.message == f"{named}:3:5: places.net:1:2: there is no such thing, used in {named}:7:1"
+
+
+def test_a_net_file_is_sent_with_the_files_that_it_includes(machine, tmp_path):
+    dispatcher = Loading()
+    im, file = machine(dispatcher), tmp_path / "a.yaml"
+    file.write_text("net: a\ninclude: [sub/b.yaml, none.yaml]\n")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "b.yaml").write_text("include: ../c.yaml\n")
+    (tmp_path / "c.yaml").write_text("include: [a.yaml, sub/b.yaml]\n")
+    with pytest.raises(MachineError):
+        im.load_net(file)
+    assert dispatcher.sent == {each: (tmp_path / each).read_text() for each in ("sub/b.yaml", "c.yaml", "a.yaml")}
+    (tmp_path / "c.yaml").write_bytes(b"\xff")
+    with pytest.raises(MachineError, match=r"^net file .*c\.yaml:1:1: is not UTF-8 text"):
+        im.load_net(file)
 
 
 @pytest.mark.parametrize(
@@ -323,6 +339,11 @@ def test_a_made_up_heartbeat_is_no_new_incarnation_of_a_task_that_lives(machine,
     wait_until(lambda: heartbeats.incarnation("dispatcher") == 9, "the new incarnation")
 
 
+def test_a_time_to_wait_that_is_none_is_refused():
+    with pytest.raises(MachineError, match=r"^timeout is -1 s; 0 s or more is needed$"):
+        Machine.connect(timeout=-1)
+
+
 def test_nothing_answers_where_no_machine_runs():
     with pytest.raises(UnreachableError, match=r"no machine runs in ROS domain \d+: none was heard within 1 s"):
         Machine.connect(timeout=1.0)
@@ -330,7 +351,15 @@ def test_nothing_answers_where_no_machine_runs():
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
-    [({"width": float("nan")}, "the arguments of move are no JSON"), ({"priority": 11}, "priority 11 is not from -10")],
+    [
+        (
+            {"width": float("nan")},
+            "^move: argument width is nan; finite numbers, texts, lists and mappings can be sent$",
+        ),
+        ({"to": [0.0, np.inf]}, r"^move: argument to is \[0\.0, inf\]; finite"),
+        ({"to": object}, "^move: argument to is <class 'object'>; finite"),
+        ({"priority": 11}, "priority 11 is not from -10"),
+    ],
 )
 def test_arguments_that_cannot_be_sent_are_refused_here(machine, arguments, sentence):
     client = machine(node := Dispatcher())
@@ -360,8 +389,8 @@ def test_a_value_of_a_wrong_type_is_named_and_nothing_is_sent(machine):
         (lambda: client.camera("wall").snap("long"), "exposure is of type double and cannot be 'long'"),
         (lambda: client.dom.get("a", wait="long"), "wait is 'long', not a finite number"),
         (lambda: client.dom.put("a", String(data=5)), "a field of std_msgs.msg.String.data=5. has a value of another"),
-        (lambda: client.load_net("none.yaml"), "net file none.yaml cannot be read: No such file or directory"),
-        (lambda: client.load_net(5), "net file 5 cannot be read: "),
+        (lambda: client.load_net("none.yaml"), "net file none.yaml: cannot be read: No such file or directory"),
+        (lambda: client.load_net(5), "net file 5: "),
         (lambda: client.unload_net("a", wait=float("nan")), "wait is nan, not a finite number"),
         (lambda: client.calibrate_camera("wall"), r"cameras is 'wall'; a list of names is needed, such as .'wall'."),
         (lambda: client.firings().__enter__().next("soon"), "timeout is 'soon', not a finite number"),

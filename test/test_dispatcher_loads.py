@@ -145,6 +145,7 @@ def test_a_net_is_proved_together_with_what_its_commands_need_of_the_cell(dispat
         ({"net_file": "/a.yaml", "net_yaml": "net: a"}, "load_net needs either net_file or net_yaml"),
         ({"net_file": "/nowhere/a.yaml"}, "/nowhere/a.yaml"),
         ({"net_yaml": "net: [", "wait": 0.0}, "net:1:"),
+        ({"net_yaml": GRAB, "included": ["a.yaml"]}, "a text for each path: included has 1, included_yaml 0"),
         ({"net_yaml": GRAB, "wait": float("nan")}, "wait is nan s; 0 to 3600 s are allowed"),
         ({"net_yaml": GRAB, "wait": -1.0}, "wait is -1 s"),
         ({"net_yaml": GRAB, "wait": 1e9}, "wait is 1e+09 s"),

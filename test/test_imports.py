@@ -198,7 +198,6 @@ OPEN_FILES = {
     "im_core/file_lock.py": "a file that says which process holds it",
     "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",
     "im_sim/urdf_loader.py": "a file in memory, for pybullet",
-    "im/machine.py": "a net file of the user, whose text is sent",
     "im_dom/file.py": "the DOM's own data base",
     "im_dom/salvage.py": "the DOM's own data base, where it is damaged",
     "im_dom/transactions.py": "the DOM's own list of transactions",

@@ -238,6 +238,10 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
         each.until("document.querySelectorAll('.node.stops').length === 1", "the breakpoint in each tab")
     operates.until("document.querySelector('#command option[value=go]') !== null", "the command")
     operates.page.fill("#arguments [name=goal]", "the door")
+    for wrong in ("fast", "1e400"):
+        operates.page.fill("#arguments [name=speed]", wrong)
+        operates.page.click("#start button")
+        assert operates.page.inner_text("#answer") == f"go: {wrong} is no number"
     operates.page.fill("#arguments [name=speed]", "7")
     operates.page.click("#start button")
     operates.until("document.getElementById('answer').classList.contains('bad')", "the refusal")
@@ -273,6 +277,48 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     operates.until("document.getElementById('part-break').textContent.startsWith('clear')", "the other breakpoint")
     operates.page.click("#part-break")
     looks.until("document.querySelectorAll('.node.stops').length === 0", "the end of the breakpoint")
+
+
+LONG = """
+net: long
+places: {idle: 1, p0: , asked: }
+commands: {go_far: {}}
+templates: {step: {parameters: [i], places: {p$(i+1): }, transitions: {step$(i): {in: p$(i), out: p$(i+1)}}}}
+use: [{template: step, for: {i: 0..79}}]
+transitions:
+  begin: {symbol: go_far, in: idle, out: p0}
+  ask: {in: p80, out: asked, request: slow.wait, on_failure: asked}
+  end: {in: asked, out: idle, emit: go_far_done}
+"""
+SLOW = """
+net: slow
+services: {wait: {entry: wanted, done: waited, failed: missed, acts_on: []}}
+places: {wanted: , waited: , missed: }
+transitions:
+  hold: {in: wanted, out: waited, await: {name: /gate, type: std_msgs/msg/Empty}, on_failure: missed}
+"""
+
+
+def test_the_view_follows_the_token_while_an_asked_net_that_is_not_shown_fires(small, tab, wait_until):
+    url, node = small
+    loaded = []
+
+    async def load_both():
+        loaded.extend([await node.loader.load(parse_net(text), 0.0) for text in (SLOW, LONG)])
+
+    node.spawn(load_both())
+    wait_until(lambda: len(loaded) == 2, "the nets")
+    each = tab(url)
+    each.until("document.querySelector('[aria-label^=\"transition, ask\"]') !== null", "the largest net")
+    asking = """(() => {
+        const ask = document.querySelector('[aria-label^="transition, ask"]').getBoundingClientRect();
+        const canvas = document.getElementById('canvas').getBoundingClientRect();
+        return ask.left > canvas.left && ask.right < canvas.right && ask.top > canvas.top && ask.bottom < canvas.bottom;
+    })()"""
+    assert not each.page.evaluate(asking), "the net is larger than the window"
+    start(each, "go_far")
+    each.until("document.querySelector('[aria-label^=\"transition, ask\"].active') !== null", "the request")
+    each.until(asking, "the view at the transition that waits")
 
 
 def test_a_former_version_is_beside_the_new_one_until_its_commands_have_ended(small, tab, wait_until):

@@ -216,7 +216,16 @@ def machine(tmp_path_factory, owner_silence_s, cell_name):
 @pytest.fixture
 def run_machine():
     """What runs a machine with a configuration of the test's own, until the end of a ``with`` block."""
-    return lambda config: _machine(TestbedNode, McsNode, parameters={"testbed:factor": 0.0, "mcs:config": config})
+
+    def running(config, **parameters):
+        settings = {
+            "testbed:factor": 0.0,
+            "mcs:config": config,
+            **{f"mcs:{name}": parameters[name] for name in parameters},
+        }
+        return _machine(TestbedNode, McsNode, parameters=settings)
+
+    return running
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from im.heartbeats import Heartbeats, Watch
 from im.messages import message_of, number_of
 from im.objects import DataObjects
 from im.vision import Camera, Position, stereo
+from im_core.files import FileError
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Firing, McsState
 from im_msgs.srv import ListCommands, LoadNet, SetLight, UnloadNet
@@ -69,8 +70,10 @@ class Machine:
 
         Raises:
             UnreachableError: No machine was heard, or its Dispatcher is not ready.
+            MachineError: There is no such ROS domain, or the timeout is no time.
         """
-        number_of("timeout", timeout)
+        if number_of("timeout", timeout) < 0.0:
+            raise MachineError(f"timeout is {timeout:g} s; 0 s or more is needed", "argument")
         connection = Connection(domain)
         try:
             heartbeats = Heartbeats(connection, watch)
@@ -299,30 +302,29 @@ class Machine:
         """
         return self._trigger("/mcs/reset")
 
-    def load_net(self, net: str | Path, wait: float = 0.0, source: str = "") -> str:
+    def load_net(self, net: str | Path, wait: float = 0.0) -> str:
         """Give the Dispatcher a net, live after verification; return the verdict.
 
         Args:
-            net: Path of a net file, or the text of one (with a line break).
+            net: Path of a net file, sent with the files that it includes, or the text of one (with a line break).
             wait: Longest wait for the present net of the name to come to rest [s].
-            source: Name of a text in messages; empty: ``net``. A file has its path.
 
         Raises:
             MachineError: The file cannot be read, or the net was refused; the firing sequence that shows why is the
                 fact ``counterexample``.
         """
+        from im.net_files import read_net_file  # YAML is for this alone: programs begin sooner without it
+
         is_text, longest = "\n" in str(net), number_of("wait", wait)
         try:
-            text = str(net) if is_text else Path(net).read_text(encoding="utf-8")
-        except (OSError, TypeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise MachineError(f"net file {net!s:.200} cannot be read: {why}", "file") from error
-        answer = self.connection.call(
-            LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, net_yaml=text, wait=longest
-        )
-        named = str(source if is_text else net)
-        if named:  # the Dispatcher knows no name of a text
-            answer.message = re.sub(r"^net(?=:\d+:)", lambda _: named, answer.message)
+            text, included = (str(net), {}) if is_text else read_net_file(net)
+        except (FileError, TypeError) as error:
+            why = error.message if isinstance(error, FileError) else f"{net!s:.200}: {error}"
+            raise MachineError(f"net file {why}", "file") from error
+        sent = {"net_yaml": text, "included": list(included), "included_yaml": list(included.values())}
+        answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + longest, wait=longest, **sent)
+        if not is_text:  # the Dispatcher knows no name of a text
+            answer.message = re.sub(r"(^|(?<= in ))net(?=:\d+:)", lambda _: str(net), answer.message)
         return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
 
     def unload_net(self, name: str, wait: float = 0.0) -> None:
@@ -401,10 +403,14 @@ class Machine:
         return control(self.connection, number, request)
 
     def _goal(self, name: str, priority: int, arguments: Mapping[str, object]) -> ExecuteCommand.Goal:
-        try:
-            text = json.dumps(arguments, allow_nan=False, default=_plain)
-        except (TypeError, ValueError) as error:
-            raise MachineError(f"the arguments of {name} are no JSON: {error}", "argument") from error
+        for argument, value in arguments.items():
+            try:
+                json.dumps(value, allow_nan=False, default=_plain)
+            except (TypeError, ValueError) as error:
+                allowed = "finite numbers, texts, lists and mappings can be sent"
+                sentence = f"{name}: argument {argument} is {value!r:.200}; {allowed}"
+                raise MachineError(sentence, "argument", {"field": argument}) from error
+        text = json.dumps(arguments, default=_plain)
         goal: ExecuteCommand.Goal = message_of(ExecuteCommand.Goal, symbol=name, arguments=text, priority=priority)
         if not -10 <= goal.priority <= 10:
             raise MachineError(f"priority {priority} is not from -10 to 10", "argument")

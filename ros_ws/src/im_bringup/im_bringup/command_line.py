@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NoReturn
 
 from im_core.errors import NotFoundError, StateError, nearest
-from im_core.options import NumberParser, finite_number, whole
+from im_core.options import NumberParser, between, finite_number, shown, whole
 
 Schema = Mapping[str, Any]
 """JSON schema of an argument, or of all arguments of a command."""
@@ -39,7 +39,14 @@ class CommandParser(NumberParser):
         for name, schema in properties.items():
             self._add(name, schema, name in self._schema.get("required", ()))
         add = self.add_argument_group("of every command").add_argument
-        add(priority, dest="priority", type=whole, default=0, metavar="N", help="-10 to 10, added to the command's own")
+        add(
+            priority,
+            dest="priority",
+            type=between(-10, 10),
+            default=0,
+            metavar="N",
+            help="-10 to 10, added to the command's own",
+        )
         add(as_json, dest="json", action="store_true", help="print the results as JSON; progress goes to stderr")
         if "arguments" not in told:
             self.add_argument("--arguments", type=json_object, default={}, metavar="JSON", help="a JSON object")
@@ -118,7 +125,7 @@ def json_object(text: str) -> dict[str, object]:
     """
     value = json_value(text)
     if not isinstance(value, dict):
-        raise argparse.ArgumentTypeError(f"{text[:60]} is no JSON object")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no JSON object")
     return value
 
 
@@ -131,13 +138,13 @@ def json_value(text: str) -> object:
     try:
         value: object = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise argparse.ArgumentTypeError(f"{text[:60]} is no JSON: {error}") from error
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no JSON: {error}") from error
     return value
 
 
 def _truth(text: str) -> bool:
     if text not in ("true", "false"):
-        raise argparse.ArgumentTypeError(f"{text[:60]} is not true or false")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not true or false")
     return text == "true"
 
 
@@ -152,7 +159,7 @@ def _reader(kind: str, unit: str) -> Callable[[str], object]:
         try:
             return finite_number(number.removesuffix(prefix)) * _PREFIXES.get(prefix, 1.0)
         except argparse.ArgumentTypeError as error:
-            raise argparse.ArgumentTypeError(f"{text[:60]} is not a finite number [{unit}]") from error
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not a finite number [{unit}]") from error
 
     return quantity
 

@@ -98,6 +98,10 @@ def test_a_command_without_a_schema_takes_json():
         ("--poses-file a --joints one", "one is not a finite number"),
         ("--poses-file a --joints nan", "nan is not a finite number"),
         ("--poses-file a --slow yes", "yes is not true or false"),
+        ("--poses-file a --slow=", "'' is not true or false"),
+        ("--poses-file a --count=", "'' is not a whole number"),
+        ("--poses-file a --priority 11", "argument --priority: 11 is no whole number from -10 to 10"),
+        ("--poses-file a --priority -99", "argument --priority: -99 is no whole number from -10 to 10"),
     ],
 )
 def test_a_mistake_is_told_in_one_line_and_is_bad_usage(words, message, capsys):

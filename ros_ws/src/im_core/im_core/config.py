@@ -183,6 +183,8 @@ def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> 
         for name, said in context.items():
             if isinstance(said, str) and name != "expected":  # such as the tag of a union, which the file has chosen
                 words = words.replace(said, shortened(said))
+        if each["type"] in ("model_type", "dict_type"):  # pydantic names the class of the model
+            words = "a mapping (key: value) is needed"
         told.append(Fault(each["type"], (*each["loc"], *below), each["input"], words, context, known))
     # pydantic leaves wrong elements out, and then finds the list too short
     wrong = {fault.location[:end] for fault in told for end in range(len(fault.location))}

@@ -31,21 +31,21 @@ def finite_number(text: str) -> float:
         ArgumentTypeError: It is none.
     """
     if not math.isfinite(value := _value(text)):
-        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is not a finite number")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a finite number")
     return value
 
 
 def seconds(text: str) -> float:
     """Read a time to wait [s], above 0 and up to :data:`LONGEST_S`; raises as :func:`finite_number`."""
     if not 0.0 < (value := _value(text)) <= LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time between 0 and {LONGEST_S:g} s")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no time between 0 and {LONGEST_S:g} s")
     return value
 
 
 def computing_seconds(text: str) -> float:
     """Read a computing time [s], above 0; raises as :func:`finite_number`."""
     if not 0.0 < (value := _value(text)) < math.inf:
-        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time above 0 s")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no time above 0 s")
     return value
 
 
@@ -56,8 +56,19 @@ def whole(text: str) -> int:
         ArgumentTypeError: It is none.
     """
     if not re.fullmatch(r"[+-]?\d{1,19}", text, re.ASCII):
-        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is not a whole number")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number")
     return int(text)
+
+
+def between(least: int, most: int) -> Callable[[str], int]:
+    """Return a reader of whole numbers from ``least`` to ``most``; the reader raises as :func:`whole`."""
+
+    def number_between(text: str) -> int:
+        if not least <= (value := whole(text)) <= most:
+            raise argparse.ArgumentTypeError(f"{value} is no whole number from {least} to {most}")
+        return value
+
+    return number_between
 
 
 def at_least(least: int) -> Callable[[str], int]:
@@ -69,6 +80,11 @@ def at_least(least: int) -> Callable[[str], int]:
         return value
 
     return number_from
+
+
+def shown(text: str) -> str:
+    """Return the beginning of a text for a message, in quotes where nothing of it would be seen."""
+    return text[:_SHOWN] if text.strip() else repr(text[:_SHOWN])
 
 
 def _value(text: str) -> float:

@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from im_core.options import NumberParser, at_least, computing_seconds, finite_number, seconds, whole
+from im_core.options import NumberParser, at_least, between, computing_seconds, finite_number, seconds, whole
 
 
 @pytest.mark.parametrize(
@@ -15,6 +15,7 @@ from im_core.options import NumberParser, at_least, computing_seconds, finite_nu
         (computing_seconds, "1e9", 1e9),
         (whole, "-7", -7),
         (at_least(1), "+1", 1),
+        (between(-10, 10), "-10", -10),
     ],
 )
 def test_a_number_is_read(read, text, value):
@@ -34,6 +35,9 @@ def test_a_number_is_read(read, text, value):
         (whole, "1_0", "1_0 is not a whole number"),
         (whole, "9" * 5000, "9" * 60 + " is not a whole number"),
         (whole, "\u0663", "\u0663 is not a whole number"),
+        (between(-10, 10), "11", "11 is no whole number from -10 to 10"),
+        (finite_number, "", "'' is not a finite number"),
+        (whole, "\n", "'\\n' is not a whole number"),
         (at_least(0), "-1", "-1 is no whole number from 0 on"),
     ],
 )

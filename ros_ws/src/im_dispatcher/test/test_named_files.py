@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from im.net_files import read_net_file
 from im_core.errors import SHOWN, ImError
-from im_dispatcher.commands import load_named_net
+from im_dispatcher.commands import load_named_net, parse_sent_net
 from im_dispatcher.poses_file import load_named_poses
+from im_pnt.netfile import describe, load_net
 
 RNG = random.Random(7)
 
@@ -108,6 +110,58 @@ def test_a_net_that_a_message_names_includes_nothing_of_elsewhere(folder: Path) 
     net.write_text(f"net: n\ninclude: [{secret}]\nplaces: {{a: 1}}\ntransitions: {{t: {{in: a, out: a}}}}\n")
     with pytest.raises(ImError, match=r"net\.yaml:2.*include: '.*' is outside of .*results"):
         load_named_net(str(net))
+
+
+INCLUDED = {
+    "mine/net.yaml": "net: n\ninclude: [parts/a.yaml, ../other/b.yaml, {absolute}]\nplaces: {{z: 1}}\n",
+    "mine/parts/a.yaml": "include: [c.yaml]\nplaces: {a: }\n",
+    "mine/parts/c.yaml": "include: [../../other/b.yaml]\nplaces: {c: }\n",
+    "other/b.yaml": "transitions: {t: {in: z, out: b}}\nplaces: {b: }\n",
+    "absolute.yaml": "places: {d: }\n",
+}
+
+
+def written(folder: Path, **others: str) -> Path:
+    for name, text in {**INCLUDED, **others}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text.format(absolute=folder / "absolute.yaml") if name == "mine/net.yaml" else text)
+    return folder / "mine" / "net.yaml"
+
+
+def test_a_sent_net_includes_the_files_that_came_with_it_as_it_does_where_it_was_written(folder: Path) -> None:
+    net = written(folder.parent)
+    text, sent = read_net_file(net)
+    there = load_net(net)
+    for name in INCLUDED:
+        (folder.parent / name).unlink()
+    assert describe(parse_sent_net(text, sent)) == describe(there)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "complaint"),
+    [
+        ("mine/parts/c.yaml", "include: [no.yaml]\n", r"^parts/c\.yaml:1:11: include\[0\]: 'no\.yaml' cannot be "
+         r"included: it was not sent with the net, and is no shipped file$"),
+        ("mine/parts/c.yaml", "include: [../../no.yaml]\n", r"^parts/c\.yaml:1:11: .*'../../no\.yaml' cannot be incl"),
+        ("mine/parts/c.yaml", "include: a.yaml\n", r"^parts/c\.yaml:1:10: include: includes go round"),
+        ("mine/parts/c.yaml", "places: [\n", r"^parts/c\.yaml:2:1: "),
+        ("mine/parts/a.yaml", "net: m\n", r"^parts/a\.yaml:1:1: net: a file that is included \(by net:2\) is no net"),
+        ("other/b.yaml", "transitions: {t: {in: y}}\n", r"^\.\./other/b\.yaml:1:23: transitions\.t\.in: there is no"),
+        ("mine/net.yaml", "net: [\n", r"^net:2:1: "),
+    ],
+)  # fmt: skip
+def test_a_fault_in_a_file_that_came_with_a_net_is_named_with_that_file(
+    folder: Path, name: str, text: str, complaint: str
+) -> None:
+    with pytest.raises(ImError, match=complaint):
+        parse_sent_net(*read_net_file(written(folder.parent, **{name: text})))
+
+
+def test_a_sent_net_cannot_have_the_machine_read_a_file(folder: Path) -> None:
+    (folder.parent / "secret.yaml").write_text("places: {a: }\n")
+    for name in (f"{folder.parent}/secret.yaml", "../" * 20 + f"{folder.parent}/secret.yaml"):
+        with pytest.raises(ImError, match="was not sent with the net, and is no shipped file"):
+            parse_sent_net(f"net: n\ninclude: ['{name}']\n", {})
 
 
 NET = "net: {}\nplaces: {{a: 1}}\ntransitions: {{t: {{in: a, out: a}}}}\n"

@@ -142,7 +142,7 @@ def test_xml_under_another_name_is_said_to_be_xml(tmp_path, capsys):
     file = tmp_path / "model.cpn"
     file.write_text('<?xml version="1.0"?>\n<workspaceElements/>\n')
     assert main(["verify", str(file)]) == BAD_INPUT
-    said = "model.cpn:1:1: is XML; nets of other tools are read from names with .pnml, .xml or .tapn\n"
+    said = "model.cpn:1:1: is XML; im pnt convert makes YAML of a net in .pnml, .xml or .tapn\n"
     assert capsys.readouterr().err.endswith(said)
 
 

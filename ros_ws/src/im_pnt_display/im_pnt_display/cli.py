@@ -10,6 +10,7 @@ from pathlib import Path
 from im_core.errors import ImError
 from im_core.files import read_text
 from im_core.names import display_file
+from im_core.options import shown
 from im_core.output import complain
 from im_core.processes.end_signals import heed_end_signals
 from im_pnt.netfile import load_net
@@ -114,7 +115,7 @@ def run_display(options: argparse.Namespace) -> int:
 
 def _port(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"{text[:60]} is no TCP port, 0 to 65535")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no TCP port, 0 to 65535")
     return int(text)
 
 

@@ -19,12 +19,12 @@ def load() -> int:
         "load",
         "Give the dispatcher a net: verified, then live; a refusal prints why. Running commands end in the former one.",
     )
-    parser.add_argument("net", type=Path, metavar="NET.yaml", help="file of the net")
+    parser.add_argument("net", type=Path, metavar="NET.yaml", help="file of the net; those that it includes go with it")
     options = parser.parse_args()
 
     def use(machine: Machine) -> int:
         try:
-            print(machine.load_net(f"{text.rstrip()}\n", options.wait, str(options.net)))
+            print(machine.load_net(options.net, options.wait))
         except MachineError as error:
             complain(f"im load: {error.message}")
             match error.facts:
@@ -35,7 +35,7 @@ def load() -> int:
         return DONE
 
     try:
-        text = read_text(options.net)
+        read_text(options.net)
     except ImError as error:
         parser.error(error.message)
     return talk(use, "im load")

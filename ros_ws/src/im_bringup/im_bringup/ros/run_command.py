@@ -32,6 +32,7 @@ from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, St
 from im_core.files import FileError, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
+from im_core.options import shown
 from im_core.output import complain
 from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
@@ -136,7 +137,7 @@ def why_lost(silent_s: float) -> str:
 
 def _command_number(text: str) -> int:
     if not re.fullmatch("[0-9]{1,10}", text) or not 0 < int(text) <= MOST_NUMBER:
-        raise argparse.ArgumentTypeError(f"{text[:60]} is no number of a command; im run lists those under way")
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no number of a command; im run lists those under way")
     return int(text)
 
 
@@ -168,7 +169,7 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     except ValueError as error:
         print(f"im run: {error}", file=sys.stderr)
         return USAGE
-    command = machine.run(options.name, wait=False, priority=max(-10, min(10, given.priority)), **taken)
+    command = machine.run(options.name, wait=False, priority=given.priority, **taken)
     who = f"im run {options.name}"
     follow(command, given.json)
     if under_way := None if command.begun else same_under_way(machine.under_way, options.name, command.outcome.status):

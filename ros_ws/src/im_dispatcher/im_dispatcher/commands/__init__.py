@@ -5,7 +5,7 @@ objects are JSON data of a named type of message.
 """
 
 import pkgutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from im_core import plugins
@@ -89,13 +89,17 @@ def load_named_net(path: str) -> Net:
     return load_net(f"{place}{mark}{part}", folders)
 
 
-def parse_sent_net(text: str) -> Net:
-    """Read a net from a text named by a message; it may include the shipped parts, ``parts/power.yaml``.
+def parse_sent_net(text: str, sent: Mapping[str, str]) -> Net:
+    """Read a net from the text in a message; it may include the sent files, and the shipped ``parts/power.yaml``.
+
+    Args:
+        text: The text.
+        sent: Texts of the sent files, by the path from the folder of the net.
 
     Raises:
         NetFileError: It is not a net.
     """
-    return parse_net(text, file=NETS / "net", within=[NETS])
+    return parse_net(text, file=NETS / "net", within=[NETS], sent=sent)
 
 
 def installed() -> list[CommandDescription]:

@@ -274,9 +274,15 @@ class Dispatcher(PntNode):
         try:
             if bool(request.net_yaml) == bool(request.net_file):
                 raise ArgumentError("load_net needs either net_file or net_yaml")
-            read, told = (parse_sent_net, request.net_yaml) if request.net_yaml else (load_named_net, request.net_file)
+            if len(request.included) != len(request.included_yaml):
+                paths, texts = len(request.included), len(request.included_yaml)
+                raise ArgumentError(f"load_net needs a text for each path: included has {paths}, included_yaml {texts}")
             require_wait(request.wait)
-            net = await run_in_thread(self, read, told, timeout_s=READ_S)
+            if request.net_yaml:
+                sent = dict(zip(request.included, request.included_yaml, strict=True))
+                net = await run_in_thread(self, parse_sent_net, request.net_yaml, sent, timeout_s=READ_S)
+            else:
+                net = await run_in_thread(self, load_named_net, request.net_file, timeout_s=READ_S)
             report = await self.load_net(net, request.wait)
         except ImError as error:
             response.success, response.message = False, error.message

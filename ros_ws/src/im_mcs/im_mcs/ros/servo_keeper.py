@@ -66,7 +66,9 @@ class ServoOwner:
         self._on_demand = asks_for_time(config.testbed.drivers[config.testbed.clock].driver)
         self._deadline = clock.monotonic() + self._timeout_s
         self._channel = ServoChannel.create(channel_name(instance), ServoChannel.layout(config))
-        arguments = [instance, str(config_file or ""), config.preset, repr(config.servo.period_s)]
+        servo = config.servo
+        changed = [config.preset, repr(servo.period_s), repr(servo.sample_rate_hz)]
+        arguments = [instance, str(config_file or ""), *changed]
         try:
             self.process = ChildProcess.of_module("im_mcs.servo", arguments, log=names.run_dir() / "servo.log")
         except OSError:

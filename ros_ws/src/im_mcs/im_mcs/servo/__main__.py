@@ -1,4 +1,4 @@
-"""``python -m im_mcs.servo INSTANCE [CONFIG [PRESET [PERIOD]]]``: the servo process of one machine."""
+"""``python -m im_mcs.servo INSTANCE [CONFIG [PRESET [PERIOD [SAMPLE_RATE]]]]``: the servo process of one machine."""
 
 import sys
 from pathlib import Path
@@ -16,6 +16,8 @@ def main(arguments: list[str]) -> int:
             config = config.with_preset(arguments[2])
         if len(arguments) > 3:
             config = config.at_period(float(arguments[3]))
+        if len(arguments) > 4:
+            config = config.at_sample_rate(float(arguments[4]))
         return run(arguments[0], config)
     except ImError as error:
         print(error.message, file=sys.stderr)

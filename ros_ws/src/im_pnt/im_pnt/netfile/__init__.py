@@ -5,7 +5,7 @@ checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`
 :mod:`~im_pnt.netfile.writer` writes one.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from im_pnt.errors import MissingPartsError
@@ -65,7 +65,13 @@ def load_present(paths: Iterable[Path]) -> tuple[list[Net], dict[str, str]]:
     return nets, left_out
 
 
-def parse_net(text: str, source: str = "net", file: Path | None = None, within: Sequence[Path] = ()) -> Net:
+def parse_net(
+    text: str,
+    source: str = "net",
+    file: Path | None = None,
+    within: Sequence[Path] = (),
+    sent: Mapping[str, str] | None = None,
+) -> Net:
     """Read a net from YAML text, as :func:`load_net` does from a file.
 
     Args:
@@ -73,6 +79,8 @@ def parse_net(text: str, source: str = "net", file: Path | None = None, within: 
         source: Its name in messages.
         file: Where it belongs, so that it can include other files; None: it can include none.
         within: Folders that included files must lie in; empty: they may lie anywhere.
+        sent: Texts of the files that came with the net, by the path from its folder; only others are read. None: the
+            net was not sent.
 
     Raises:
         NetFileError: The text is not a net.
@@ -81,4 +89,4 @@ def parse_net(text: str, source: str = "net", file: Path | None = None, within: 
     Traceback (most recent call last):
     im_pnt.errors.NetFileError: net:1:58: transitions.bake.in[0]: there is no place 'cld' (did you mean 'cold'?)
     """
-    return read_net(assemble(read_values(text, source), file, within))
+    return read_net(assemble(read_values(text, source), file, within, sent))

@@ -1,5 +1,6 @@
 """Assembly of a net file: included files read, templates copied in the places."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -26,13 +27,17 @@ _MAPPINGS = ("places", "services", "commands", "transitions")
 _SECTIONS = (*_MAPPINGS, "rest")
 
 
-def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Value:
+def assemble(
+    root: Value, file: Path | None, within: Sequence[Path] = (), sent: Mapping[str, str] | None = None
+) -> Value:
     """Read the included files of a net file, and copy the used templates.
 
     Args:
         root: The file as written.
         file: Where it is; None: nowhere, and it can include nothing.
         within: Folders that included files lie below; empty: they may lie anywhere.
+        sent: Texts of the files that came with the net, by the path from its folder; only others are read. None: the
+            net was not sent.
 
     Returns:
         The same net without ``parameters``, ``include``, ``templates``, ``interrupts`` and ``use``, those of
@@ -46,7 +51,7 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
     assembled = {"include", "templates", "use", "interrupts", "parameters"}
     if not {key.text for key, _ in root.pairs} & assembled and not uses_subnets(root):
         return root
-    assembly = _Assembly(within)
+    assembly = _Assembly(within, file, sent)
     root, given = with_parameters(root)
     own = {key: value for key, value in read_data(root).items() if key in fragment}
     assembly.add(root, own, () if file is None else (file,), given)
@@ -64,8 +69,10 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
 class _Assembly:
     """Sections of all files and copies."""
 
-    def __init__(self, within: Sequence[Path]) -> None:
-        self._within = within
+    def __init__(self, within: Sequence[Path], file: Path | None, sent: Mapping[str, str] | None) -> None:
+        folder = Path() if file is None else file.parent
+        self._within, self._is_sent = within, sent is not None
+        self._sent = {_normal(folder / name): (name, text) for name, text in (sent or {}).items()}
         self.sections: dict[str, list[tuple[Value, Value]]] = {}
         self.rest: list[Value] | None = None
         self._templates: dict[str, Template] = {}
@@ -136,14 +143,15 @@ class _Assembly:
             sentence = f"{quoted_text(name)} cannot be included: this net is a text without a file"
             raise complaint_at(root, location, sentence)
         path = chain[-1].parent / name
-        if self._within:
+        sent = self._sent.get(_normal(path))
+        if self._within and sent is None:
             try:
                 resolve_below(str(path), self._within, "include")
             except DataError as error:
-                raise complaint_at(root, location, error.message) from error
+                raise complaint_at(root, location, self._unsent(name) or error.message) from error
         # else resolve raises; reading names the fault
-        real = path.resolve() if "\0" not in name and not _loops(path) else path
-        way = [each.resolve() for each in chain]
+        real = self._real(path)
+        way = [self._real(each) for each in chain]
         if real in way:
             names = " -> ".join(str(each) for each in [*chain[way.index(real) :], path])
             raise complaint_at(root, location, f"includes go round: {names}")
@@ -156,10 +164,11 @@ class _Assembly:
         if len(self._read) > MAX_FILES:
             raise complaint_at(root, location, f"more than {MAX_FILES} files are included")
         try:
-            text = read_text(path, self._within)
+            named, text = sent or (str(path), read_text(path, self._within))
         except NetFileError as error:
-            raise complaint_at(root, location, f"cannot be included: {error.message}") from error
-        included, given = with_parameters(read_values(text, str(path)))
+            sentence = self._unsent(name) or f"cannot be included: {error.message}"
+            raise complaint_at(root, location, sentence) from error
+        included, given = with_parameters(read_values(text, named))
         data = read_data(included)
         if "net" in data:
             by = find(root, location).value
@@ -169,6 +178,16 @@ class _Assembly:
             )
             raise complaint_at(included, ("net",), sentence, key=True)
         self.add(included, data, (*chain, path), given)
+
+    def _unsent(self, name: str) -> str:
+        """Return the sentence for a file that did not come with a sent net; empty: the net was not sent."""
+        sentence = f"{quoted_text(name)} cannot be included: it was not sent with the net, and is no shipped file"
+        return sentence if self._is_sent else ""
+
+    def _real(self, path: Path) -> Path:
+        """Return the file that a path means."""
+        normal = _normal(path)
+        return normal if normal in self._sent or "\0" in str(path) or _loops(path) else path.resolve()
 
 
 def _copies(root: Value, location: Location, use: UseFile, template: Template) -> Iterator[dict[str, Value]]:
@@ -212,6 +231,11 @@ def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
     if not isinstance(given, str) or "$(" not in given:
         return given
     return evaluated(given[2:-1], running) if is_whole(given) else substitute(given, running)
+
+
+def _normal(path: Path) -> Path:
+    """Return a path without ``.`` and ``..``, by its letters alone."""
+    return Path(os.path.normpath(path))
 
 
 def _loops(path: Path) -> bool:

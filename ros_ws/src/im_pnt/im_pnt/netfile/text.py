@@ -64,7 +64,7 @@ def read_values(text: str, file: str) -> Value:
         NetFileError: It is not YAML, or more than a net can need.
     """
     if text.lstrip("\ufeff \n").startswith("<"):
-        raise NetFileError(file, 1, "is XML; nets of other tools are read from names with .pnml, .xml or .tapn", 1)
+        raise NetFileError(file, 1, "is XML; im pnt convert makes YAML of a net in .pnml, .xml or .tapn", 1)
     try:
         return read_yaml(text, file)
     except YamlError as error:

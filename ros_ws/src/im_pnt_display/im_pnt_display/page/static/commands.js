@@ -19,7 +19,7 @@ export function valueOf(schema, text) {
   if (schema.type === "boolean") return text === "true";
   if (schema.type === "array") return text.split(/[\s,]+/).filter(Boolean).map((one) => valueOf(schema.items, one) ?? one);
   const value = schema.type ? Number(text) : JSON.parse(text);
-  if (Number.isNaN(value)) throw new Error(`${text} is no number`);
+  if (schema.type && !Number.isFinite(value)) throw new Error(`${text} is no number`);
   return value;
 }
 

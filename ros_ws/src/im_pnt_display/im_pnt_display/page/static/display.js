@@ -328,7 +328,7 @@ let drawing = false, listed = 0, unlisted = false, led = 0, newest = null;
 function soon(change = {}) {
   if (change.kind === "marking") changed.add(change.net);
   else unlisted = true;
-  if (change.kind === "firing") newest = change;
+  if (change.kind === "firing" && scene.nodes.has(change.net)) newest = change;  // other nets fire out of sight
   if (drawing) return;
   drawing = true;
   requestAnimationFrame(drawChanges);
