@@ -298,7 +298,7 @@ def test_a_net_is_refused_whose_command_has_come_meanwhile_and_would_need_someth
     held = Begun(dispatcher, dispatcher._run("present", {}))
     load = Begun(dispatcher, dispatcher.load_net(holder("changed", "right_arm"), 60.0))
     command = Begun(dispatcher, dispatcher._run("changed", {}))
-    told = "changed (number 2) has not ended, and would not need the same any more"
+    told = "changed (number 2) has not ended: would need other resources"
     assert load.refused().message == told
     assert dispatcher.exchange.nets["changed"] is before
     assert states(dispatcher) == {"present": "running", "changed": "waiting"}

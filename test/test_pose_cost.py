@@ -48,6 +48,8 @@ from support.loop import in_loop
 from support.warm import Warm
 
 POSES = 16
+LOAD_S = 300.0
+"""Patience with the verification of a net among all others: minutes on a slow and busy computer."""
 MOST_CALLS = 11
 """Of them two ask in vain whether the arm was reserved for the command: here it is reserved already."""
 ARMS = ("left", "right")
@@ -365,9 +367,9 @@ def test_a_path_is_given_by_whoever_asks_and_nothing_that_lies_about_steers_a_co
     assert all(points != stray for _, points in cast.cell.paths)
     loading = cast.client.create_client(LoadNet, "/dispatcher/load_net")
     guessing = LoadNet.Request(net_yaml=FOLLOW.replace("group: left, ", ""))
-    refused = call_blocking(loading, guessing, 60.0, "a net to be refused")
+    refused = call_blocking(loading, guessing, LOAD_S, "a net to be refused")
     assert "argument group is missing, one of 'left', 'right' (which arm)" in refused.message
-    loaded = call_blocking(loading, LoadNet.Request(net_yaml=FOLLOW), 60.0, "a net to be loaded")
+    loaded = call_blocking(loading, LoadNet.Request(net_yaml=FOLLOW), LOAD_S, "a net to be loaded")
     assert loaded.success, loaded.message
     result = execute(cast, "follow", path="/corridor")
     assert result.success, result.status.message
@@ -387,7 +389,7 @@ def both_arms_move_at_once(cast, loading, joints):
     for arm, points in ways.items():
         kind = "trajectory_msgs/msg/JointTrajectory"
         in_loop(cast.dom, cast.dom.store.put, f"corridor_{arm}", kind, path_of(joints, points), "", "test", 0)
-    loaded = call_blocking(loading, LoadNet.Request(net_yaml=BOTH), 60.0, "a net to be loaded")
+    loaded = call_blocking(loading, LoadNet.Request(net_yaml=BOTH), LOAD_S, "a net to be loaded")
     assert loaded.success, loaded.message
     cast.cell.paths, cast.cell.under_way, cast.cell.together = [], [], 2
     result = execute(cast, "both")
