@@ -6,14 +6,14 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from im_core.errors import ImError, quoted_text
-from im_pnt.expression.inference import Meanings, infer
+from im_core.errors import quoted_text
+from im_pnt.expression.inference import Meanings
 from im_pnt.expression.syntax import Binary, Call, Field, Item, Listing, Literal, Name, Node, Unary, shown
 from im_pnt.expression.template import OPENS, nodes, references
-from im_pnt.expression.types import ANY, ValueKind, ValueType
+from im_pnt.expression.types import ValueKind, ValueType
 from im_pnt.model.arguments import Argument, ArgumentSchema
 from im_pnt.model.net import Guard
-from im_pnt_analysis.guards.stored_values import Bounds
+from im_pnt_analysis.guards.stored_values import Bounds, type_of
 
 _NUMBERS = (ValueKind.NUMBER, ValueKind.INTEGER)
 _VALUES = (ValueKind.BOOLEAN, ValueKind.TEXT, *_NUMBERS)
@@ -244,10 +244,7 @@ class Formulas:
         return self._type(node).kind
 
     def _type(self, node: Node) -> ValueType:
-        try:
-            return infer(node, self._known.meanings)
-        except ImError:
-            return ANY
+        return type_of(node, self._known.meanings)
 
     def _number(self, node: Node) -> Term:
         z3 = self._z3

@@ -131,7 +131,7 @@ class Knowledge:
             return
         given = list(self._given(transition))
         unchanged = _without(before, *given, _FAILURE)
-        after = self._stored_by(transition, before)
+        after = self._stored_by(transition, before, given)
         if transition.action is not None:
             name = transition.retry_of or transition.name
             after = frozenset(replace(each, answered=each.answered | {name}) for each in after)
@@ -147,9 +147,10 @@ class Knowledge:
             for other in self._net.places[place].on_invalid if place in self._net.places else ():
                 yield other, _without(after, _FAILURE)
 
-    def _stored_by(self, transition: Transition, before: frozenset[TokenKnowledge]) -> frozenset[TokenKnowledge]:
+    def _stored_by(
+        self, transition: Transition, before: frozenset[TokenKnowledge], given: list[Way]
+    ) -> frozenset[TokenKnowledge]:
         """Return the knowledge when a transition has given its values."""
-        given = list(self._given(transition))
         if self._stored.isdisjoint(transition.store):
             return _without(before, *given)
         answers = [name for name in given if name[0] == "answers"]

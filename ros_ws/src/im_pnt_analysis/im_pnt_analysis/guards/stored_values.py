@@ -7,7 +7,7 @@ from im_core.errors import ImError
 from im_pnt.expression.inference import Meanings, infer
 from im_pnt.expression.syntax import Binary, Field, Literal, Name, Node, rebuilt, shown
 from im_pnt.expression.template import OPENS, Way, has_expressions, nodes, pieces, references
-from im_pnt.expression.types import ValueKind
+from im_pnt.expression.types import ANY, ValueKind, ValueType
 from im_pnt.model.net import Guard, Net, Transition
 
 Bounds = Mapping[Way, tuple[float | None, float | None]]
@@ -52,14 +52,14 @@ def facts_when_stored(
     for name in sorted(new & stable):
         for way, value in _fields(transition.store[name]):
             of = _field(("data", name, *way))
-            kind = _kind(of, meanings)
+            kind = type_of(of, meanings).kind
             if kind not in _EXACT:
                 continue
             _, step = _change(value, (name, *way))
             if isinstance(step, int) and kind is ValueKind.INTEGER:
                 found.update(_carried(facts, of, step, new))
             elif (written := _written(value)) is not None and _stays(written, transition, stable - new):
-                found.update(_as_guard(Binary("==", of, written)) if _kind(written, meanings) is kind else ())
+                found.update(_as_guard(Binary("==", of, written)) if type_of(written, meanings).kind is kind else ())
     return frozenset(found)
 
 
@@ -99,12 +99,10 @@ def _as_guard(node: Node) -> tuple[Guard, ...]:
 def _stays(value: Node, transition: Transition, stable: frozenset[str]) -> bool:
     """Return whether a stored value stays the same until a transition gives a new one."""
     own = (transition.name, transition.retry_of)
-    for root, name, *_ in references(value):
-        if (root == "data" and name not in stable) or (root == "answers" and name in own):
-            return False
-        if root not in ("arguments", "answers", "data"):
-            return False
-    return True
+    return all(
+        root == "arguments" or (root == "data" and name in stable) or (root == "answers" and name not in own)
+        for root, name, *_ in references(value)
+    )
 
 
 def named(guard: Guard) -> frozenset[Way]:
@@ -112,18 +110,19 @@ def named(guard: Guard) -> frozenset[Way]:
     return frozenset(path for each in (guard, *guard.unless) for node in nodes(each.name) for path in references(node))
 
 
+def type_of(node: Node, meanings: Meanings) -> ValueType:
+    """Return the type of an expression, any where none can be told."""
+    try:
+        return infer(node, meanings)
+    except ImError:
+        return ANY
+
+
 def _field(path: Way) -> Node:
     node: Node = Name(path[0])
     for name in path[1:]:
         node = Field(node, name)
     return node
-
-
-def _kind(node: Node, meanings: Meanings) -> ValueKind:
-    try:
-        return infer(node, meanings).kind
-    except ImError:
-        return ValueKind.ANY
 
 
 def _fields(value: object, way: Way = ()) -> Iterator[tuple[Way, object]]:
