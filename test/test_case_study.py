@@ -119,7 +119,7 @@ def test_the_nets_are_the_program(first_run):
 
 
 def test_poses_in_free_order_are_visited_in_less_time_than_as_listed(first_run, few_poses):
-    from im_coordinators.visit_order import leg_times
+    from im_cell.visit_order import leg_times
     from im_dispatcher.accuracy import REST_S
 
     answer, firings = first_run

@@ -1,5 +1,6 @@
 """How long a calibration to a stated accuracy takes, and how true its expected error is, beside all shipped poses."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from im_cell.calibration_error import evaluate
 from im_cell.camera_model import CameraModel, nominal
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
-from im_dispatcher.accuracy import next_visits, seconds_to
+from im_cell.visit_order import leg_times
+from im_dispatcher.accuracy import LOOK_S, REST_S, next_visits
 from im_dispatcher.job import problem_of_light
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
@@ -35,18 +37,26 @@ def asked_accuracy(seed: int, accuracy_m: float) -> Reached:
     truth = [_drawn(rng, nominal(load_cell().cameras[name])) for name in CAMERAS]
     offset = np.array(load_cell().led.offset) + rng.normal(0.0, load_cell().led.offset_prior_sd, 3)
     observed: dict[int, list[Observation]] = {}
-    seconds, here = 0.0, None
+    visited: list[int] = []
     while visits := next_visits(file, CAMERAS, accuracy_m, observed, (), ()).poses:
         for pose in dict.fromkeys(visits):
-            seconds += float(seconds_to(file, here)[pose - 1])
-            here = np.array(file.poses[pose - 1].joints)
+            visited.append(pose)
             observed[pose] = [seen(rng, file, pose, look, truth, offset) for look in range(visits.count(pose))]
     everything = [each for looks in observed.values() for each in looks]
     problem = problem_of_light(CAMERAS, everything)
     calibration = calibrate(problem)
     error = evaluate([camera.model for camera in calibration.cameras], truth, problem.workspace.grid())
     expected = calibration.expected.triangulation_rms_mm
+    seconds = seconds_of(file, visited, len(everything))
     return Reached(len(observed), len(everything), seconds, expected, error.triangulation_rms_mm)
+
+
+def seconds_of(file: PosesFile, visited: Sequence[int], looks: int) -> float:
+    """Return the estimated time from home through poses, by their numbers from 1, with some looks in all [s]."""
+    cell = load_cell()
+    places = np.array([cell.groups[file.group].home, *(file.poses[number - 1].joints for number in visited)])
+    motions = leg_times(cell, list(cell.joints_of(file.group)), places).diagonal(1)
+    return float(motions.sum()) + REST_S * len(visited) + LOOK_S * looks
 
 
 def _drawn(rng: np.random.Generator, camera: CameraModel) -> CameraModel:

@@ -6,6 +6,7 @@ are chosen for the cameras as drawn; then for those calibrated so far.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,16 +15,16 @@ from numpy.typing import NDArray
 from im_calibration import DegenerateDataError, InconsistentDataError, Observation, calibrate
 from im_calibration.design import PoseDesign, predicted_problem, unknowns_as_drawn, unknowns_of
 from im_cell.camera_model import nominal
-from im_cell.motion_time import motion_times
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
+from im_cell.visit_order import leg_times, visit_order
 from im_dispatcher.job import problem_of_light
 from im_dispatcher.poses_file import PosesFile
 
 #: Poses before the first calibration: with fewer it is too uncertain to choose the next pose by.
 FIRST_POSES = 12
 #: Looks of a visit, and what a visit takes besides the motion: the arm comes to rest, and is looked at [s].
-LOOKS, REST_S, LOOK_S = 4, 0.45, 0.05
+LOOKS, REST_S, LOOK_S = 8, 0.45, 0.05
 
 #: Noise of spots and positions until some are observed [px], [m].
 SPOT_SD, POSITION_SD = 0.05, 1e-5
@@ -90,17 +91,19 @@ def next_visits(
     if expected is not None and (1e-3 * design.expected_mm if coming else expected) <= accuracy_m:
         return NextVisits((), expected)
     gone = {*observed, *coming, *barred}
-    here = np.array(file.poses[coming[-1] - 1].joints) if coming else None
-    chosen: list[int] = []
+    here = cell.groups[file.group].home if not coming else file.poses[coming[-1] - 1].joints
+    places = np.array([here, *(pose.joints for pose in file.poses)])
+    times = leg_times(cell, list(cell.joints_of(file.group)), places)
+    way = [0]  # where the arm is, then the numbers of the poses in the order of their visits
     for _ in range(max(1, FIRST_POSES - len({*observed, *coming}))):
-        allowed = np.array([number not in gone for number in range(1, count + 1)])
-        if (best := design.best(seconds_to(file, here), allowed)) is None:
+        allowed = np.array([number not in {*gone, *way} for number in range(1, count + 1)])
+        longer = np.array([times[a] + times[b] - times[a, b] for a, b in pairwise(way)] + [times[way[-1]]])[:, 1:]
+        if (best := design.best(longer.min(axis=0) + REST_S + LOOKS * LOOK_S, allowed)) is None:
             break
         design.add(best, LOOKS)
-        here = np.array(file.poses[best].joints)
-        gone.add(best + 1)
-        chosen += [best + 1] * LOOKS
-    return NextVisits(tuple(chosen), expected)
+        way.insert(int(longer[:, best].argmin()) + 1, best + 1)
+    order = [way[rank] for rank in visit_order(times[np.ix_(way, way)])]
+    return NextVisits(tuple(number for number in order[1:] for _ in range(LOOKS)), expected)
 
 
 def accuracy_reached(solver: Mapping[str, Any], asked_m: float, visits: Sequence[int]) -> dict[str, object]:
@@ -119,19 +122,6 @@ def accuracy_reached(solver: Mapping[str, Any], asked_m: float, visits: Sequence
         error = "no error is known" if expected is None else f"an error of {expected:.3f} mm is expected"
         told["message"] = f"{error}, {asked:g} mm was asked for: the poses have run out"
     return told
-
-
-def seconds_to(file: PosesFile, here: Array | None) -> Array:
-    """Return the time of a visit of each pose, shape (m,) [s]: motion, then rest and looks.
-
-    Args:
-        file: The poses, with joints.
-        here: Where the arm is, shape (n,) [rad or m]; None: at home.
-    """
-    cell = load_cell()
-    joints = np.array([pose.joints for pose in file.poses])
-    ways = joints - (cell.groups[file.group].home if here is None else here)
-    return motion_times(cell, cell.joints_of(file.group), ways) + REST_S + LOOKS * LOOK_S
 
 
 def _unseen(file: PosesFile, k: int) -> Observation:

@@ -12,6 +12,7 @@ import pytest
 from im_calibration import load_problems
 from im_cell.robot import load_cell
 from im_core.errors import BEGUN_ANEW, DataError, ImError, LinkError, NotFoundError, StateError
+from im_dispatcher.accuracy import FIRST_POSES, LOOKS
 from im_dispatcher.commands.calibrate_camera import COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import WristPose, load_named_poses
 from im_dispatcher.report import StepTimes
@@ -115,16 +116,16 @@ def accurate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 def test_an_accuracy_is_reached_by_several_looks_at_poses_that_are_reached_by_their_joints(accurate: Play) -> None:
     stays, planned, taken = (accurate.guard(name) for name in ("stays", "plans_ahead", "all_planned_taken"))
     names = []
-    for look in range(5):
+    for look in range(LOOKS + 1):
         names.append(accurate.pose())
-        assert stays(None) is (0 < look < 4), "the arm is there for all looks of a visit"
+        assert stays(None) is (0 < look < LOOKS), "the arm is there for all looks of a visit"
         way = accurate("way_known")
         assert (way["destination"], way["joints"]) == ("", list(_pose_named(names[-1]).joints))
         accurate("present_look")
-        assert planned(None) is (look == 3), "a path is planned to another pose alone"
+        assert planned(None) is (look == LOOKS - 1), "a path is planned to another pose alone"
         accurate.restart()
-    first, other = names[0], names[4]
-    assert names == [first] * 4 + [other]
+    first, other = names[0], names[-1]
+    assert names == [first] * LOOKS + [other]
     assert first != other
     assert accurate("next_destination")["joints"] == list(_pose_named(other).joints)
     assert not taken(None)
@@ -136,7 +137,7 @@ def test_an_accuracy_is_reached_by_several_looks_at_poses_that_are_reached_by_th
 def test_a_pose_out_of_reach_loses_all_its_looks_and_others_are_planned_in_its_place(accurate: Play) -> None:
     name = accurate.pose()
     accurate("skip_pose", DataError("out of reach"))
-    names = [accurate.pose() for _ in range(44)]
+    names = [accurate.pose() for _ in range(LOOKS * (FIRST_POSES - 1))]
     assert name not in names
     assert accurate.guard("all_planned_taken")(None)
     accurate("assess")

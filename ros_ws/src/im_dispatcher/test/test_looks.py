@@ -49,4 +49,4 @@ def test_more_looks_at_the_same_poses_promise_no_better_arm():
     once, often = (
         calibrate(problem_of_light(CAMERAS, looked(count))).expected.triangulation_rms_mm for count in (1, 4)
     )
-    assert often == pytest.approx(once, rel=0.15)
+    assert often == pytest.approx(once, rel=0.25)

@@ -10,6 +10,7 @@ from geometry_msgs.msg import Pose, PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
+from im_cell.visit_order import BLOCKED_S, leg_times, visit_order
 from im_coordinators.motion import DESTINATIONS, way_asked
 from im_coordinators.path_planning import (
     BLOCKED,
@@ -24,7 +25,6 @@ from im_coordinators.path_planning import (
 from im_coordinators.path_search import search_apart
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
-from im_coordinators.visit_order import BLOCKED_S, leg_times, visit_order
 from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.messages.status import status_to_error

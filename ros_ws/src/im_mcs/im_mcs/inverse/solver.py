@@ -18,8 +18,8 @@ from im_mcs.model import CellModel
 
 # the last ones are all but undamped: near a singularity damped steps end beside the pose
 _ITERATIONS, _UNDAMPED = 100, 80
-# Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
-_LIMIT_MARGIN = 0.02
+#: Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
+LIMIT_MARGIN = 0.02
 # Where nothing is reached, steps end a little before the limit that is in the way [rad or m].
 _AT_LIMIT = 0.01
 _POSITION_TOLERANCE_M = 1e-7
@@ -81,8 +81,8 @@ class InverseKinematics:
         self._limits = limits
         self._index = index
         self._frame = frame
-        self._lower = limits.lower[index] + _LIMIT_MARGIN
-        self._upper = limits.upper[index] - _LIMIT_MARGIN
+        self._lower = limits.lower[index] + LIMIT_MARGIN
+        self._upper = limits.upper[index] - LIMIT_MARGIN
         self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
         self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
         self._closed: ClosedForm | None = None
@@ -172,7 +172,7 @@ class InverseKinematics:
             starts: Where to start, shape (n,) each [rad or m].
         """
         if self._closed is not None:
-            if found := self._solutions(self._closed, target, q_all, starts[0]):
+            if found := self.solutions(target, q_all, starts[0]):
                 yield from found
                 return
             starts = starts[:_NEAREST]  # nothing is there to be found but the nearest place
@@ -187,12 +187,20 @@ class InverseKinematics:
         base = self._model.pose(q_all, self._first).translation
         return bool(np.linalg.norm(target.translation - base) > self._reach)
 
-    def _solutions(
-        self, closed: ClosedForm, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]
-    ) -> list[IkAttempt]:
-        """Return the solutions within limits, the nearest to a start first, each improved by Newton's method."""
+    def solutions(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> list[IkAttempt]:
+        """Return the solutions within limits, the nearest to a start first, each improved by Newton's method.
+
+        Of an arm without a closed form none is known.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
+            start: Positions of the group, shape (n,) [rad or m].
+        """
+        if self._closed is None:
+            return []
         at, found, joints = self._whole(q_all, start), list[IkAttempt](), self._joints
-        for q in closed.solve(self._model, target, at, joints):
+        for q in self._closed.solve(self._model, target, at, joints):
             whole = at.copy()
             whole[joints] = q
             better = self._tracker.solve(target, whole)

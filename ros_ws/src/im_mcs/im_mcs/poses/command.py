@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         cameras = options.cameras or list(load_cell().cameras)[:2]
         selector, group = make_selector(options.config, options.group, cameras, options.target)
-        selection = selector.select(options.count, np.radians(options.tilt), options.seed)
+        selection = selector.select(options.count, np.radians(options.tilt), options.seed, _told)
         text = to_yaml(group, cameras, selection, options.target)
         if options.output is None:
             print(text, end="")
@@ -55,6 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"poses: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _told(sentence: str) -> None:
+    print(f"poses: {sentence}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

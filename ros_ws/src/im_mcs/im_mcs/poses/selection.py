@@ -1,7 +1,7 @@
 """Selection and order of poses: far apart from each other, short ways between neighbours, free of collisions."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from im_cell.motion_time import motion_times
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
 from im_mcs.inverse.arm import ARM_JOINTS
+from im_mcs.inverse.solver import LIMIT_MARGIN
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.motions.joint import JointPath
 from im_mcs.poses.candidates import Candidate, Carried, candidates, held
 from im_mcs.poses.common import CommonView
+from im_mcs.poses.short_ways import ShortWays
 from im_mcs.poses.view import View
 
 
@@ -74,6 +77,9 @@ _FIRST_STEP_M = 0.02
 _CANDIDATES_PER_POSE = 12
 _MAX_TRIES_PER_POSE = 150
 _MAX_DRAWS_PER_POSE = 4000
+# Configurations that are drawn about one: how often, the share of the carriers' ranges that they are spread over at
+# first, and how many positions of the arm's joints are taken for each.
+_DRAWS, _SPREAD, _NEAREST = 60, 0.25, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,21 +135,24 @@ class PoseSelector:
         self._index = index
         self._views = views
         self._solver = InverseKinematics(model, limits, index, frame)
+        self._of_arm = np.isin(index, model.joints_below(frame)[-ARM_JOINTS:])
+        self._arm = InverseKinematics(model, limits, index[self._of_arm], frame)
         self._home = model.cell.home
         self._common = CommonView(model, limits, index, frame, views, shown.offset)
 
-    def select(self, count: int, max_tilt_rad: float, seed: int) -> Selection:
+    def select(self, count: int, max_tilt_rad: float, seed: int, told: Callable[[str], None]) -> Selection:
         """Choose and order poses.
 
         Args:
             count: How many.
             max_tilt_rad: How far the light may be turned away from where it faces all cameras best [rad].
             seed: Of the candidates.
+            told: Takes a sentence of progress.
 
         Raises:
             DataError: There are not so many; the message says what the others lack.
         """
-        pool = self._pool(count, max_tilt_rad, seed)
+        pool = self._pool(count, max_tilt_rad, seed, told)
         lights = np.array([placed.candidate.light for placed in pool])
         wanted = [int(k) for k in farthest_first(lights, count)]
         tried = set(wanted)
@@ -155,11 +164,12 @@ class PoseSelector:
             wanted = [k for k in wanted if k not in stranded] + [k for k in others if k is not None]
         if len(ordered) < count:
             raise DataError(f"only {len(ordered)} of {count} poses can be reached one after the other")
+        ordered = self._shortened(ordered, seed, told)
         wrists = np.array([placed.candidate.wrist.rotation for placed in ordered])
         chosen = np.array([placed.candidate.light for placed in ordered])
         return Selection(tuple(ordered), spread_of(chosen, wrists, lights))
 
-    def _pool(self, count: int, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
+    def _pool(self, count: int, max_tilt_rad: float, seed: int, told: Callable[[str], None]) -> list[PlacedPose]:
         """Reachable, free and visible candidates."""
         pool, lacks = list[PlacedPose](), Counter[str]()
         shown, views, draws = self._shown, self._views, _MAX_DRAWS_PER_POSE * count
@@ -172,6 +182,8 @@ class PoseSelector:
             found = self._try(candidate)
             if isinstance(found, PlacedPose):
                 pool.append(found)
+                if len(pool) % count == 0:
+                    told(f"{len(pool)} of {_CANDIDATES_PER_POSE * count} candidates")
             else:
                 lacks[found] += 1
             if len(pool) == _CANDIDATES_PER_POSE * count or tries == _MAX_TRIES_PER_POSE * count:
@@ -223,6 +235,42 @@ class PoseSelector:
             else:
                 return ordered, left
         return ordered, []
+
+    def _shortened(self, poses: Sequence[PlacedPose], seed: int, told: Callable[[str], None]) -> list[PlacedPose]:
+        """Poses in an order and in configurations that take less time."""
+        cell, rng = self._model.cell, np.random.default_rng(seed)
+        names = [self._model.names[rank] for rank in self._index]
+        ways = ShortWays(
+            lambda a, b: motion_times(cell, names, a[:, None] - b[None]),
+            lambda rank, q, spread: self._configurations(poses[rank].candidate, q, spread, rng),
+            self._free,
+        )
+        visits = ways.shorten(self._home[self._index], [placed.q for placed in poses], told)
+        return [PlacedPose(poses[rank].candidate, q) for rank, q in visits]
+
+    def _configurations(
+        self, candidate: Candidate, q: NDArray[np.float64], spread: float, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Draw usable configurations about ``q`` for the same pose, shape (m, n), at a spread of 0 to 1."""
+        found, carriers, arm = [q], ~self._of_arm, self._of_arm
+        lower, upper = self._limits.lower[self._index][carriers], self._limits.upper[self._index][carriers]
+        for drawn in rng.normal(size=(_DRAWS if carriers.any() else 1, len(lower))):
+            other = q.copy()
+            other[carriers] += _SPREAD * spread * (upper - lower) * drawn
+            other[carriers] = np.clip(other[carriers], lower + LIMIT_MARGIN, upper - LIMIT_MARGIN)
+            for attempt in self._arm.solutions(candidate.wrist, self._whole(other), q[arm])[:_NEAREST]:
+                whole = other.copy()
+                whole[arm] = attempt.q
+                if self._usable(candidate, whole):
+                    found.append(whole)
+        return np.array(found)
+
+    def _usable(self, candidate: Candidate, q: NDArray[np.float64]) -> bool:
+        try:
+            self._checker.require_free(self._whole(q))
+        except ImError:
+            return False
+        return self._blocked(candidate, q) is None
 
     def _place(self, candidate: Candidate, here: NDArray[np.float64]) -> PlacedPose | None:
         """Return the configuration of path planning's choice from the group's present one."""

@@ -6,7 +6,7 @@ solving traveling-salesman problems", Operations Research 1958 (2-opt); I. Or, d
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from im_cell.motion_time import motion_times
 from im_cell.robot import Cell
@@ -19,7 +19,7 @@ BLOCKED_S = 30.0
 _LONGEST_PART, _ROUNDING_S = 3, 1e-9
 
 
-def leg_times(cell: Cell, joints: list[str], positions: list[list[float]]) -> Array:
+def leg_times(cell: Cell, joints: list[str], positions: ArrayLike) -> Array:
     """Return times of the straight motions between any two of m positions, shape (m, m) [s]."""
     places = np.array(positions)
     return motion_times(cell, joints, places[:, None] - places[None])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_cell.robot import load_cell
-from im_coordinators.visit_order import BLOCKED_S, leg_times, visit_order
+from im_cell.visit_order import BLOCKED_S, leg_times, visit_order
 
 
 def length(order: list[int], times: np.ndarray) -> float:
