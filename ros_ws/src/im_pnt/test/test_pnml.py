@@ -2,18 +2,14 @@ from collections import deque
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from im_pnt.errors import NetError, NetFileError
+from im_pnt.errors import NetFileError
 from im_pnt.model.expand import expand
-from im_pnt.model.net import Net, Place, Transition
-from im_pnt.netfile import load_net, parse_net
+from im_pnt.netfile import load_net
 from im_pnt.pnml import pnml_text
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
 from im_pnt_analysis.composition.compose import compose
-from im_pnt_analysis.composition.plain_net import plain_net
 from im_pnt_analysis.verify.verdict import verify
 from im_pnt_display import draw
 
@@ -146,21 +142,6 @@ def test_a_place_of_another_net_has_a_name(tmp_path, name):
         read(tmp_path, f'<pnml><net id="n">{arcs}<place id="q">{tool}</toolspecific></place></net></pnml>')
 
 
-@st.composite
-def conserving(draw_):
-    """Bounded nets with inhibitor arcs: no transition gives more tokens than it takes."""
-    place = st.sampled_from("pqr")
-    places = {name: Place(name, draw_(st.integers(0, 3))) for name in "pqr"}
-    transitions = {}
-    for number in range(draw_(st.integers(1, 4))):
-        taken = draw_(st.lists(place, min_size=1, max_size=3))
-        given_ = draw_(st.lists(place, max_size=len(taken)))
-        inhibitors = draw_(st.dictionaries(place, st.integers(1, 4), max_size=2))
-        counts = [{name: arcs.count(name) for name in arcs} for arcs in (taken, given_)]
-        transitions[f"t{number}"] = Transition(f"t{number}", *counts, inhibitors=inhibitors)
-    return Net("n", places, transitions)
-
-
 def reachability_graph(net, places):
     """Arcs of the reachability graph, seen on some places alone."""
     first = tuple(place.tokens for place in net.places.values())
@@ -184,38 +165,6 @@ def reachability_graph(net, places):
     return len(seen), arcs
 
 
-@settings(max_examples=50, deadline=None)
-@given(conserving())
-def test_a_plain_net_behaves_as_the_one_with_inhibitor_arcs(tmp_path_factory, net):
-    plain, said = plain_net(net)
-    assert not any(t.inhibitors for t in plain.transitions.values())
-    assert len(said) == len({name for t in net.transitions.values() for name in t.inhibitors})
-    file = tmp_path_factory.getbasetemp() / "plain.pnml"
-    file.write_text(pnml_text(plain, plain=True), encoding="utf-8")
-    assert "toolspecific" not in file.read_text(encoding="utf-8")
-    assert reachability_graph(load_net(file), list(net.places)) == reachability_graph(net, list(net.places))
-
-
-def test_a_plain_net_says_phases_and_services_and_needs_bounds(data):
-    net = load_net(data / "coordinator.yaml")
-    plain, said = plain_net(net)
-    flat = compose([net]).net
-    assert not said
-    assert reachability_graph(plain, list(plain.places)) == reachability_graph(flat, list(plain.places))
-    text = "net: n\nplaces: {a: 1, b: %s}\ntransitions: {t: {in: a, out: [a, b]}, u: {in: a, inhibitors: {b: 2}}}\n"
-    with pytest.raises(NetError, match=r"no bound is known of place b, which inhibits u; give it a capacity"):
-        plain_net(parse_net(text % ""))
-    assert "its capacity" in plain_net(parse_net(text % "{capacity: 3}"))[1][0]
-
-
-def test_a_plain_net_with_phases_is_read_back(data, tmp_path):
-    file, source = tmp_path / "p.pnml", data / "coordinator.yaml"
-    assert main(["convert", "--plain", str(source), str(file)]) == OK
-    plain = plain_net(load_net(source))[0]
-    assert any(name.endswith(".end.cancelling") for name in plain.transitions)
-    assert reachability_graph(load_net(file), list(plain.places)) == reachability_graph(plain, list(plain.places))
-
-
 def test_convert_goes_both_ways_and_never_overwrites_unasked(data, tmp_path, capsys):
     source, pnml, back = data / "coordinator.yaml", tmp_path / "c.pnml", tmp_path / "c.yaml"
     assert main(["convert", str(source), str(pnml)]) == OK
@@ -229,7 +178,6 @@ def test_convert_goes_both_ways_and_never_overwrites_unasked(data, tmp_path, cap
     assert main(["convert", str(pnml), str(back), "--force"]) == OK
     assert main(["convert", str(source), str(tmp_path / "c.pdf")]) == BAD_INPUT
     assert main(["convert", str(source), str(tmp_path / "no" / "c.pnml")]) == BAD_INPUT
-    assert main(["convert", str(source), str(tmp_path / "d.yaml"), "--plain"]) == BAD_INPUT
     assert {file.name for file in tmp_path.iterdir()} == {"c.pnml", "c.yaml"}
 
 

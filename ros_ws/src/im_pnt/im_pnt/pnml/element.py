@@ -26,7 +26,6 @@ class Element:
         namespace: Its namespace, empty where it has none.
         attributes: Attributes by name; one of a namespace has that before its name.
         place: Where it stands.
-        children: Elements in it.
         text: Text directly in it.
         within: Nearest element around it that has an id, for messages; empty without one.
     """

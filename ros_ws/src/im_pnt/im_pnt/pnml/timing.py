@@ -33,7 +33,6 @@ class Timing:
     """Time of a transition.
 
     Attributes:
-        element: The transition.
         rate: Firings in a second while it is enabled [1/s]; None: it is immediate, or of a net without time.
         interval: Times for which it must be enabled [s]; None: not said.
         weight: How often it is taken among contending immediate transitions, relative to the others.

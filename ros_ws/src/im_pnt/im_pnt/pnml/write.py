@@ -6,7 +6,7 @@ Places of other nets stand on a page of their own, and arcs lead to them through
 import re
 from collections.abc import Iterator
 
-from im_pnt.model.net import Net, Place, Transition
+from im_pnt.model.net import Net, Transition
 from im_pnt.netfile.writer import describe, place_data, transition_data
 from im_pnt.pnml.extras import REMOTE, escape, extras_text
 
@@ -36,12 +36,11 @@ class _Ids:
         return identity
 
 
-def pnml_text(net: Net, *, plain: bool = False) -> str:
+def pnml_text(net: Net) -> str:
     """Return a net as the text of a PNML file.
 
     Args:
         net: The net as written.
-        plain: Leave out what is ours, even where that says another thing; the ids are then the names.
 
     Raises:
         NetError: An expanded net.
@@ -59,19 +58,19 @@ def pnml_text(net: Net, *, plain: bool = False) -> str:
         '    <page id="page_1">\n',
     ]
     for place in net.places.values():
-        lines.append(f'      <place id="{places[place.name]}">\n{_name(_shown(place, plain))}')
+        lines.append(f'      <place id="{places[place.name]}">\n{_name(place.name)}')
         if place.tokens:
             lines.append(f"        <initialMarking><text>{place.tokens}</text></initialMarking>\n")
-        data = {} if plain else place_data(place)
+        data = place_data(place)
         data.pop("tokens", None)
         lines.append(extras_text(data, "        ") + "      </place>\n")
     for number, place_name in enumerate(remote, 1):
         remote[place_name] = f"ref_{number}"
         lines.append(f'      <referencePlace id="ref_{number}" ref="remote_{number}"/>\n')
     for transition in net.transitions.values():
-        shown = _name(_shown(transition, plain))
+        shown = _name(transition.name)
         lines.append(f'      <transition id="{transitions[transition.name]}">\n{shown}')
-        lines.append(extras_text({} if plain else _more(transition), "        ") + "      </transition>\n")
+        lines.append(extras_text(_more(transition), "        ") + "      </transition>\n")
     arcs = (arc for t in net.transitions.values() for arc in _arcs(t, transitions[t.name], places, remote))
     lines += [_arc(number, *arc) for number, arc in enumerate(arcs, 1)]
     lines.append("    </page>\n")
@@ -84,13 +83,8 @@ def pnml_text(net: Net, *, plain: bool = False) -> str:
     data = describe(net)
     for key in ("places", "transitions"):
         del data[key]
-    lines.append(extras_text({} if plain else data, "    ") + "  </net>\n</pnml>\n")
+    lines.append(extras_text(data, "    ") + "  </net>\n</pnml>\n")
     return "".join(lines)
-
-
-def _shown(part: Place | Transition, plain: bool) -> str:
-    """Return the name for people in a plain file, where the id is the name."""
-    return part.title if plain and part.title else part.name
 
 
 def _name(text: str, indent: str = "        ") -> str:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from im_core.clock import thread_cpu
 from im_core.errors import ImError
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import Net
@@ -15,16 +14,13 @@ from im_pnt.netfile.schema.names import as_name, is_qualified
 from im_pnt.pnml import pnml_text
 from im_pnt_analysis.cli.terminal import OK, write_output
 
-_BOUNDS_S = 60.0
 _PNML_SUFFIXES = (".pnml", ".xml")
 _YAML_SUFFIXES = (".yaml", ".yml")
 _DESCRIPTION = """Writes a net file in the other format: YAML (.yaml, .yml) or PNML (.pnml, .xml).
 
 PNML from here is valid by the grammar of ISO/IEC 15909-2. What that cannot say (tape symbols, guards, actions,
 inhibitor arcs, capacities, times, services) is kept in 'toolspecific' elements: pnt reads it back without loss, other
-tools do not see it, and it is named here. With --plain nothing is kept that other tools do not see: the net is written
-as analysis sees it, with its phases, coordination structures and surroundings, and inhibitor arcs become arcs to
-complement places.
+tools do not see it, and it is named here.
 
 Names of a PNML file that YAML cannot have are changed, and said; a net that no YAML file may hold (a transition that
 nothing holds back) is refused. Comments, includes and templates are not kept."""
@@ -36,7 +32,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("file", metavar="IN", help="net file; FILE.pnml#NET for one net of several")
     parser.add_argument("output", metavar="OUT", help="file to write, .yaml, .yml, .pnml or .xml")
-    parser.add_argument("--plain", action="store_true", help="PNML that says everything to every tool")
     parser.add_argument("--force", action="store_true", help="overwrite OUT if it is there")
 
 
@@ -46,15 +41,8 @@ def run(options: argparse.Namespace) -> int:
     suffix = output.suffix.lower()
     if suffix not in (*_YAML_SUFFIXES, *_PNML_SUFFIXES):
         raise ImError(f"cannot convert to '{output}': the name must end in .yaml, .yml, .pnml or .xml", code="input")
-    if options.plain and suffix in _YAML_SUFFIXES:
-        raise ImError(f"--plain is for PNML; '{output}' is YAML, which can say everything", code="input")
     net = load_net(options.file)
-    if options.plain:
-        from im_pnt_analysis.composition.plain_net import plain_net
-
-        net, notes = plain_net(net, thread_cpu() + _BOUNDS_S)
-        text = pnml_text(net, plain=True)
-    elif suffix in _YAML_SUFFIXES:
+    if suffix in _YAML_SUFFIXES:
         net, notes = _with_our_names(net)
         text = yaml_text(net)
         parse_net(text, str(output))

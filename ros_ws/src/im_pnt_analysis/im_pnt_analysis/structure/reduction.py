@@ -120,9 +120,7 @@ class ReducedNet:
     """Smaller net with a deadlock if and only if the original one has one.
 
     Attributes:
-        original: The original net.
         original_initial: Its initial marking.
-        compiled: The reduced net.
         initial: Its initial marking.
         parts: For each transition those of the original net that fire in its place.
         delayed: Sequences of transitions of the original net that the reduced one puts off; before a marking counts as

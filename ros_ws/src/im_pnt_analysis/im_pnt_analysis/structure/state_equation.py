@@ -1,12 +1,12 @@
-"""The state equation in inequalities: semiflows, weightings and bounds, found by linear programming, checked exactly.
+"""The state equation in inequalities: semiflows and weightings, found by linear programming, checked exactly.
 
-Semiflows, weightings that no firing raises, and firing counts that lower no place are non-negative whole-number
-vectors of a cone. A linear program finds them in floating point; one counts only after it has been rounded to whole
-numbers and put to every inequality. A weighting y >= 0 of the places that no firing raises (y C <= 0) bounds a place p
-by y m0 / y_p (Murata, 1989): no firing sequence at all can exceed that.
+Semiflows and weightings that no firing raises are non-negative whole-number vectors of a cone. A linear program finds
+them in floating point; one counts only after it has been rounded to whole numbers and put to every inequality. A
+weighting y >= 0 of the places that no firing raises (y C <= 0) bounds a place p by y m0 / y_p (Murata, 1989): no firing
+sequence at all can exceed that.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from fractions import Fraction
 from math import lcm
 
@@ -45,7 +45,6 @@ class Cone:
         positive: Collection[int] = (),
         *,
         equal: bool = False,
-        slack: bool = False,
         deadline: float | None = None,
     ) -> dict[int, int]:
         """Return a vector of the cone of about the least cost, zeros left out; empty: none was found.
@@ -54,19 +53,15 @@ class Cone:
             costs: Cost of each component.
             positive: Components that are positive.
             equal: Whether every inequality is met with equality.
-            slack: Whether some inequality is not.
             deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
         """
         if not self._numeric:
-            return self._exactly({index: Fraction(1) for index in positive}, positive, equal=equal, slack=slack)
+            return self._exactly({index: Fraction(1) for index in positive}, positive, equal=equal)
         left = None if deadline is None else max(0.01, deadline - thread_cpu())
         lower = np.zeros(self._size)
         lower[list(positive)] = 1.0
         zeros = np.zeros(len(self._rows))
         inequalities, right = (None, None) if equal else (self._matrix, zeros)
-        if slack:
-            inequalities = csr_array(np.vstack([self._matrix.toarray(), self._matrix.sum(axis=0)]))
-            right = np.append(zeros, -1.0)
         solution = linprog(
             [float(min(cost, 10**12)) for cost in costs],  # beyond, small costs would be lost in rounding
             A_ub=inequalities,
@@ -84,20 +79,17 @@ class Cone:
                 int(index): Fraction(float(solution.x[index])).limit_denominator(denominator)
                 for index in np.flatnonzero(solution.x > 1e-9)
             }
-            if vector := self._exactly(rounded, positive, equal=equal, slack=slack):
+            if vector := self._exactly(rounded, positive, equal=equal):
                 return vector
         return {}
 
-    def _exactly(
-        self, vector: dict[int, Fraction], positive: Collection[int], *, equal: bool, slack: bool
-    ) -> dict[int, int]:
+    def _exactly(self, vector: dict[int, Fraction], positive: Collection[int], *, equal: bool) -> dict[int, int]:
         """Return a vector in whole numbers if contained in the cone, otherwise nothing."""
         common = lcm(*(value.denominator for value in vector.values()))
         whole = {index: int(value * common) for index, value in vector.items() if value > 0}
         sums = [sum(whole.get(index, 0) * value for index, value in row) for row in self._rows]
         fits = all(number == 0 if equal else number <= 0 for number in sums)
-        loose = not slack or any(number < 0 for number in sums)
-        return whole if fits and loose and whole.keys() >= set(positive) else {}
+        return whole if fits and whole.keys() >= set(positive) else {}
 
 
 def weightings(compiled: Compiled) -> Cone:
@@ -105,46 +97,12 @@ def weightings(compiled: Compiled) -> Cone:
     return Cone(compiled.change, len(compiled.places))
 
 
-def firing_counts(compiled: Compiled) -> Cone:
-    """Return the cone of the firing counts of transitions without a loss for any place."""
-    rows: list[list[tuple[int, int]]] = [[] for _ in compiled.places]
-    for transition, pairs in enumerate(compiled.change):
-        for place, change in pairs:
-            rows[place].append((transition, -change))
-    return Cone([tuple(row) for row in rows], len(compiled.transitions))
-
-
-def place_bounds(compiled: Compiled, initial: Sequence[int], deadline: float | None = None) -> Mapping[str, int | None]:
-    """Return an upper bound of the tokens of each place; None: none was found.
+def structurally_bounded(compiled: Compiled, deadline: float | None = None) -> bool:
+    """Return whether every place is bounded for any initial marking; a place may be bounded all the same.
 
     Args:
-        compiled: The net; inhibitor arcs are left out, which keeps the bounds true.
-        initial: Initial marking, tokens of each place.
+        compiled: The net; inhibitor arcs are left out, which keeps the answer true.
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
-    bounds: dict[str, int | None] = dict.fromkeys(compiled.places)
-    cone = weightings(compiled)
-    for place in range(len(compiled.places)):
-        if deadline is not None and thread_cpu() > deadline:
-            break
-        weights = cone.cheapest(initial, [place], deadline=deadline)
-        total = sum(weight * initial[other] for other, weight in weights.items())
-        for other, weight in weights.items():
-            name = compiled.places[other]
-            bound = bounds[name]
-            bounds[name] = total // weight if bound is None else min(bound, total // weight)
-    return bounds
-
-
-def structurally_bounded(compiled: Compiled, deadline: float | None = None) -> bool | None:
-    """Return whether every place is bounded for any initial marking; None: not decided.
-
-    Args:
-        compiled: The net; with inhibitor arcs the answer False is about the net without them.
-        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
-    """
-    everywhere = range(len(compiled.places))
-    if not compiled.places or weightings(compiled).cheapest([1] * len(everywhere), everywhere, deadline=deadline):
-        return True
-    costs = [1] * len(compiled.transitions)
-    return False if firing_counts(compiled).cheapest(costs, slack=True, deadline=deadline) else None
+    places = range(len(compiled.places))
+    return not places or bool(weightings(compiled).cheapest([1] * len(places), places, deadline=deadline))
