@@ -16,10 +16,11 @@ from im_core.ros import qos
 from im_msgs.msg import Firing, McsState
 from im_msgs.srv import ControlCommand, LoadNet
 from support.mcs_config import write_mcs_config
-from support.whole_machine import COMMAND_S, FEW, SEED, Machine, free_port, run_script, write_few_poses
+from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
 
+POSES = 12
 CONTROL = "/dispatcher/control_command"
 #: After so long a command that went on by itself would have moved an arm: it took 2 s after "ready" [s].
 STILL_S = 6.0
@@ -84,7 +85,7 @@ def kill_everything_at(command, lines):
 def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path):
     """It finds what is true, as an undisturbed one does; a start may be killed, too."""
     machines("--fresh")
-    calibrate = ("calibrate_camera", "--json", "--poses-file", write_few_poses(tmp_path))
+    calibrate = ("calibrate_camera", "--json", "--poses-file", write_few_poses(tmp_path, POSES))
     kill_everything_at(client("run_command", *calibrate), 40)
     (unfinished,) = unfinished_commands.noted(names.run_dir())
     die_starting(0.0, SEED, free_port(), 4.0)
@@ -94,7 +95,7 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     resumed, said = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, said
     report = json.loads(resumed)["report"]
-    assert report["points_used"] >= FEW - 2  # an arm that comes from elsewhere may hide the light
+    assert report["points_used"] >= POSES - 2  # an arm that comes from elsewhere may hide the light
     assert distance(report, {"cameras": [true_camera(each) for each in report["cameras"]]}) <= DEVIATIONS
 
 
