@@ -51,9 +51,9 @@ def with_precedence(composition: Composition, nets: Sequence[Net]) -> Precedence
     names: dict[str, str] = {}
     left_out: dict[str, None] = {}
     ordered = False
-    going_first = _GoingFirst(net, closed)
+    order = _PriorityOrder(net, closed)
     for transition in net.transitions.values():
-        before = going_first.before(transition)
+        before = order.before(transition)
         unsure = [] if closed else [other.name for other in before if not _is_of_one(other, net, resources)]
         left_out.update(dict.fromkeys(unsure))
         before = [other for other in before if other.name not in unsure]
@@ -100,8 +100,8 @@ def _is_closed(composition: Composition) -> bool:
 _FIRING = (Role.PLAIN, Role.START)
 
 
-class _GoingFirst:
-    """Transitions that hold others back.
+class _PriorityOrder:
+    """Order in which transitions of a net may fire.
 
     Args:
         net: The composition.

@@ -171,7 +171,7 @@ class Formulas:
             return self._change(shown(node)), self._true
 
     def _all(self, *conditions: Any) -> Any:
-        """Return the term of conditions that hold together; what always holds makes no term of its own."""
+        """Return the conjunction of conditions, without those that are always true."""
         open_ones = [each for each in conditions if each is not self._true]
         return self._z3.And(open_ones) if len(open_ones) > 1 else (open_ones or [self._true])[0]
 
