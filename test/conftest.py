@@ -83,10 +83,10 @@ def own_participants():
 
 
 LONGEST = (
-    "case_study", "mission", "hosts", "pick_and_place", "case_study_deaths", "vendor_robot", "client", "cells",
-    "wall_clock", "tutorials", "calibrate_board", "moved_camera", "trajectory", "scripts", "chaos", "page_browser",
-    "pnt_journal", "pose_cost", "vendor_hour", "failing_disk", "vss_contention", "bootstrap_node", "your_robot",
-    "peer_commands", "motion", "record_replay", "owners", "bad_bags", "peers", "bodies", "recalibrate",
+    "case_study", "mission", "pick_and_place", "tutorials", "moved_camera", "cells", "case_study_deaths", "hosts",
+    "failing_disk", "wall_clock", "chaos", "calibrate_board", "vendor_hour", "pose_cost", "vendor_robot",
+    "page_browser", "client", "vss_contention", "trajectory", "scripts", "pnt_journal", "bootstrap_node",
+    "your_robot", "peer_commands", "motion", "record_replay", "owners", "bad_bags", "peers", "bodies", "recalibrate",
     "testbed_drivers_node", "calibrate_live", "estop", "start_imports", "wrong_values", "set_up", "middleware_memory",
     "pnt_node", "vss_laser", "imports", "vss_calibration_given", "vss_wrong_input", "vss_known_lengths", "backlog",
     "vss_tutorial", "urgent", "stops_first", "dom_kills",

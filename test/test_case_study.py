@@ -80,7 +80,7 @@ def test_a_calibration_comes_back_with_its_uncertainty(first_run, machine):
     assert {"verdicts", "expected_error", "timing", "seed"} <= set(report)
     assert report["seed"] == SEED
     assert report["points_used"] + len(report["points_rejected"]) == FEW
-    assert report["points_used"] >= 12
+    assert report["points_used"] >= FEW - 2
     assert report["verdicts"] == []
     assert [camera["name"] for camera in report["cameras"]] == ["ceiling_left", "ceiling_right"]
     truth = json.loads(machine.call(GetTruth, "/testbed/get_truth").json)
@@ -415,12 +415,12 @@ def refusal(machine, poses):
     return pytest.fail("the dispatcher did not answer")
 
 
-def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, few_poses):
+def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, tmp_path):
     """Every interface gets values made from its type, from a process of its own, while a command runs."""
     from sensor_msgs.msg import JointState
 
     restarts = {name: task.restarts for name, task in machine.tasks.items()}
-    thread, answers = machine.in_background(few_poses)
+    thread, answers = machine.in_background(write_few_poses(tmp_path, 14))
     machine.wait_for_firing("calibrate_camera", "move_robot")
     command = [sys.executable, "-m", "bench.fuzz", "--rounds", "3", "--seed", str(SEED)]
     thrown = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=COMMAND_S, check=False)
@@ -494,11 +494,13 @@ def ends(machine):
 
 @pytest.fixture
 def odd_poses(few_poses, tmp_path):
-    """A file of few poses, of which one is out of reach and one out of sight."""
+    """A file of few poses, and of one that is out of reach and one out of sight."""
     poses = yaml.safe_load(few_poses.read_text())
     half = math.sqrt(0.5)
-    poses["poses"][1] = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    poses["poses"][3] = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
+    moon = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    down = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
+    first, second, *others = poses["poses"]
+    poses["poses"] = [first, moon, second, down, *others]
     poses["order"] = "given"
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(poses))

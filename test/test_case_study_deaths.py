@@ -6,16 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from support.whole_machine import COMMAND_S, EACH, FEW, report_of, run_script, running_machine, write_few_poses
+from support.whole_machine import COMMAND_S, EACH, report_of, run_script, running_machine, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
 
+POSES = 14
 READY_AGAIN = "recover: ready: 10 tasks, MCS is cold"
 
 
 @pytest.fixture(scope="module")
 def few_poses(tmp_path_factory):
-    return write_few_poses(tmp_path_factory.mktemp("poses"))
+    return write_few_poses(tmp_path_factory.mktemp("poses"), POSES)
 
 
 @pytest.fixture(scope="module")
@@ -97,8 +98,8 @@ def test_a_command_survives_the_deaths_of_coordinators(machine, few_poses):
     assert answers, "the command did not end"
     assert answers[0].success, answers[0].message
     report = report_of(answers[0])
-    assert report["points_used"] + len(report["points_rejected"]) == FEW
-    assert report["points_used"] >= FEW - 4
+    assert report["points_used"] + len(report["points_rejected"]) == POSES
+    assert report["points_used"] >= POSES - 4
 
 
 def test_the_calibration_in_use_outlives_vss(machine):

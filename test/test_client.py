@@ -44,7 +44,7 @@ def im(machine):
 
 
 def test_all_examples_are_tried():
-    """That of the second mission needs free bodies: ``test_pick_and_place.py``."""
+    """That of the second mission needs free bodies: ``test_moved_camera.py``."""
     assert {*SAYS, "handover.py"} == {path.name for path in EXAMPLES.glob("*.py")}
 
 

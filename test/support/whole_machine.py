@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import signal
 import socket
@@ -16,8 +17,8 @@ from im_core.config import package_file
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SEED = 3
-FEW = 14
-"""Poses of :func:`write_few_poses`; with four less the cameras are still calibrated."""
+FEW = 12
+"""Poses of :func:`write_few_poses`; with three less the cameras are still calibrated."""
 COMMAND_S = 600.0
 EACH = package_file("im_bringup", "deployments/each.yaml")
 """The deployment in which every task has a process of its own."""
@@ -29,12 +30,12 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def write_few_poses(folder: Path) -> Path:
-    """A file of a third of the cell's own poses, not listed in their shortest order."""
+def write_few_poses(folder: Path, count: int = FEW) -> Path:
+    """A file of some of the cell's own poses at equal distances, not listed in their shortest order."""
     own = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text())
-    third = own["poses"][::3]
-    own["poses"] = third[::2] + third[1::2]
-    assert len(own["poses"]) == FEW
+    some = own["poses"][:: len(own["poses"]) // (count - 1)][:count]
+    own["poses"] = [pose for first in range(4) for pose in some[first::4]]
+    assert len(own["poses"]) == count
     path = folder / "few.yaml"
     path.write_text(yaml.safe_dump(own))
     return path
@@ -135,6 +136,17 @@ class Machine:
 
         result.told = told
         return result
+
+    def stand(self, name, place, turn=0.0):
+        """Puts a free body somewhere, upright, turned about the vertical."""
+        from geometry_msgs.msg import Point, Pose, Quaternion
+
+        from im_msgs.srv import PlaceObject
+
+        turned = Quaternion(z=math.sin(turn / 2), w=math.cos(turn / 2))
+        pose = Pose(position=Point(**dict(zip("xyz", place, strict=True))), orientation=turned)
+        placed = self.call(PlaceObject, "/testbed/place_object", name=name, pose=pose)
+        assert placed.success, placed.message
 
     def trigger(self, name):
         from std_srvs.srv import Trigger

@@ -18,26 +18,38 @@ from im_pnt_analysis.composition.compose import compose
 from im_pnt_analysis.structure.semiflows import p_semiflows
 
 
-def callers(part: Sequence[Net], nets: Sequence[Net]) -> list[Net] | None:
-    """Return nets with the writes of the absent nets to the tapes of a part: at any time, as often as possible.
+class Callers:
+    """Writers to tapes of others.
 
     Args:
-        part: Some of the nets, as written.
-        nets: All of them.
-
-    Returns:
-        A net for each that writes; None where it is not known how often at once one of them can.
+        nets: All nets, as written.
     """
-    inside = {net.name: net for net in part}
-    found = []
-    for net in nets:
-        asking = [] if net.name in inside else _tape_requests(net, inside)
-        if asking:
-            standing = _standing_for(net, asking)
-            if standing is None:
-                return None
-            found.append(standing)
-    return found
+
+    def __init__(self, nets: Sequence[Net]) -> None:
+        self._nets = nets
+        self._flows: dict[str, _Flows] = {}
+
+    def of(self, part: Sequence[Net]) -> list[Net] | None:
+        """Return nets with the writes of the absent nets to the tapes of a part: at any time, as often as possible.
+
+        Args:
+            part: Some of the nets.
+
+        Returns:
+            A net for each that writes; None where it is not known how often at once one of them can.
+        """
+        inside = {net.name: net for net in part}
+        found = []
+        for net in self._nets:
+            asking = [] if net.name in inside else _tape_requests(net, inside)
+            if asking:
+                if net.name not in self._flows:
+                    self._flows[net.name] = _Flows(net)
+                standing = _standing_for(net, asking, self._flows[net.name])
+                if standing is None:
+                    return None
+                found.append(standing)
+        return found
 
 
 def _tape_requests(net: Net, asked: dict[str, Net]) -> list[Transition]:
@@ -50,12 +62,11 @@ def _tape_requests(net: Net, asked: dict[str, Net]) -> list[Transition]:
     return found
 
 
-def _standing_for(net: Net, asking: Sequence[Transition]) -> Net | None:
+def _standing_for(net: Net, asking: Sequence[Transition], flows: "_Flows") -> Net | None:
     """Return one transition for all with the same write and wait: the answers are exchangeable."""
     alike: dict[tuple[str, float | None], list[Transition]] = {}
     for each in asking:
         alike.setdefault((str(each.action), each.timeout), []).append(each)
-    flows = _Flows(net)
     places: dict[str, Place] = {}
     transitions: dict[str, Transition] = {}
     for (_, timeout), group in alike.items():

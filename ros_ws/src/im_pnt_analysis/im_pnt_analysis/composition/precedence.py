@@ -9,7 +9,7 @@ What goes before must be told by the marking alone: no guard, no symbol, and tok
 that something else moves too, an action, a symbol or another net, only what contends for a token is put in order.
 """
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,9 +50,10 @@ def with_precedence(composition: Composition, nets: Sequence[Net]) -> Precedence
     transitions: dict[str, Transition] = {}
     names: dict[str, str] = {}
     left_out: dict[str, None] = {}
-    ordered, most = False, max((t.priority for t in net.transitions.values()), default=0)
+    ordered = False
+    order = _PriorityOrder(net, closed)
     for transition in net.transitions.values():
-        before = list(_before(net, transition, most, closed))
+        before = order.before(transition)
         unsure = [] if closed else [other.name for other in before if not _is_of_one(other, net, resources)]
         left_out.update(dict.fromkeys(unsure))
         before = [other for other in before if other.name not in unsure]
@@ -99,25 +100,35 @@ def _is_closed(composition: Composition) -> bool:
 _FIRING = (Role.PLAIN, Role.START)
 
 
-def _before(net: Net, transition: Transition, most: int, closed: bool) -> Iterator[Transition]:
-    """Yield the transitions that go before one where they are enabled; without those that nothing holds back.
+class _PriorityOrder:
+    """Order in which transitions of a net may fire.
 
     Args:
         net: The composition.
-        transition: The one.
-        most: The highest priority.
         closed: Whether a timed one waits for all that need no time.
     """
-    timed = _is_timed(transition)
-    if transition.role not in _FIRING or not (timed or transition.priority < most):
-        return
-    for other in net.transitions.values():
-        if other.role not in _FIRING or other.guard or other.symbol or _is_timed(other):
-            continue
-        contends = not transition.inputs.keys().isdisjoint(other.inputs)
-        first = contends and (timed or other.priority > transition.priority)
-        if (first or (timed and closed)) and (other.inputs or other.inhibitors):
-            yield other
+
+    def __init__(self, net: Net, closed: bool) -> None:
+        self._closed = closed
+        untimed = (t for t in net.transitions.values() if t.role in _FIRING and not _is_timed(t))
+        self._all = [t for t in untimed if not (t.guard or t.symbol) and (t.inputs or t.inhibitors)]
+        self._most = max((t.priority for t in net.transitions.values()), default=0)
+        self._rank = {t.name: rank for rank, t in enumerate(self._all)}
+        self._taking: dict[str, list[Transition]] = {}
+        for each in self._all:
+            for place in each.inputs:
+                self._taking.setdefault(place, []).append(each)
+
+    def before(self, transition: Transition) -> list[Transition]:
+        """Return the transitions that go before one where they are enabled; without those that nothing holds back."""
+        timed = _is_timed(transition)
+        if transition.role not in _FIRING or not (timed or transition.priority < self._most):
+            return []
+        if timed and self._closed:
+            return self._all
+        contending = {t.name: t for place in transition.inputs for t in self._taking.get(place, ())}.values()
+        first = (other for other in contending if timed or other.priority > transition.priority)
+        return sorted(first, key=lambda other: self._rank[other.name])
 
 
 def _is_timed(transition: Transition) -> bool:

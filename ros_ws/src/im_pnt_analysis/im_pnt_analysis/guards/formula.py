@@ -76,6 +76,7 @@ class Formulas:
 
     def __init__(self, z3: Any, known: ValueKnowledge) -> None:
         self._z3, self._known = z3, known
+        self._true = z3.BoolVal(True)
         self._values: dict[str, tuple[Any, ValueKind]] = {}
         self._there: dict[str, Any] = {}
         self._conditions: dict[str, Any] = {}
@@ -98,7 +99,7 @@ class Formulas:
             truth = z3.BoolVal(False) if guard.name == _CANCELLED else self._change(guard.name)
             return z3.Not(truth) if guard.negated else truth
         terms = [self._truth(node) for node in nodes(guard.name)]
-        passes = z3.And([part for term in terms for part in term])  # without a value it counts as false
+        passes = self._all(*(part for term in terms for part in term))  # without a value it counts as false
         return z3.Not(passes) if guard.negated else passes
 
     def limits(self) -> list[Any]:
@@ -149,7 +150,7 @@ class Formulas:
         z3 = self._z3
         match node:
             case Literal(bool() as value):
-                return z3.BoolVal(value), z3.BoolVal(True)
+                return z3.BoolVal(value), self._true
             case Unary("not", of):
                 value, there = self._truth(of)
                 return z3.Not(value), there
@@ -157,7 +158,7 @@ class Formulas:
                 (one, first), (other, second) = self._truth(left), self._truth(right)
                 joined = z3.And(one, other) if sign == "and" else z3.Or(one, other)
                 decided = z3.Not(one) if sign == "and" else one  # the right side is not looked at then
-                return joined, z3.And(first, z3.Or(decided, second))
+                return joined, first if second is self._true else self._all(first, z3.Or(decided, second))
         try:
             if self._changes(node):
                 raise _UndecidedError
@@ -167,7 +168,12 @@ class Formulas:
                 return self._any(*node.arguments)
             return self._value(node, ValueKind.BOOLEAN)
         except _UndecidedError:
-            return self._change(shown(node)), z3.BoolVal(True)
+            return self._change(shown(node)), self._true
+
+    def _all(self, *conditions: Any) -> Any:
+        """Return the conjunction of conditions, without those that are always true."""
+        open_ones = [each for each in conditions if each is not self._true]
+        return self._z3.And(open_ones) if len(open_ones) > 1 else (open_ones or [self._true])[0]
 
     def _changes(self, node: Node) -> bool:
         return any(path[0] == "data" and path[1] not in self._known.stored for path in references(node))
@@ -178,7 +184,7 @@ class Formulas:
             if not isinstance(right, Listing):
                 return self._any(right, Binary("==", left, Name("item")))
             terms = [self._compared(Binary("==", left, each)) for each in right.elements]
-            return z3.Or([term[0] for term in terms]), z3.And([term[1] for term in terms])
+            return z3.Or([term[0] for term in terms]), self._all(*(term[1] for term in terms))
         if sign in ("==", "!=") and (isinstance(left, Listing) or isinstance(right, Listing)):
             value, there = self._same_list(*((left, right) if isinstance(left, Listing) else (right, left)))
             return value if sign == "==" else z3.Not(value), there
@@ -190,13 +196,13 @@ class Formulas:
             (one, first), (other, second) = self._number(left), self._number(right)
             self._keep_order(left, one, right, other)
             value = {"<": one < other, "<=": one <= other, ">": one > other, ">=": one >= other}[sign]
-            return value, z3.And(first, second)
+            return value, self._all(first, second)
         if not kinds or not kinds <= set(_VALUES) or (len(kinds) > 1 and not numbers):
             raise _UndecidedError
         term = self._number if numbers else lambda each: self._value(each, next(iter(kinds)))
         (one, first), (other, second) = term(left), term(right)
         self._keep_order(left, one, right, other)
-        return (one == other if sign == "==" else one != other), z3.And(first, second)
+        return (one == other if sign == "==" else one != other), self._all(first, second)
 
     def _same_list(self, listing: Node, of: Node) -> Term:
         """Return the term of whether a list has the elements that are written."""
@@ -216,7 +222,7 @@ class Formulas:
         most = self._longest(of)
         if self._type(of).kind is not ValueKind.LIST or most is None or most > _MOST_ELEMENTS:
             raise _UndecidedError
-        value, ended = z3.BoolVal(False), z3.BoolVal(True)
+        value, ended = z3.BoolVal(False), self._true
         for at in reversed(range(most)):
             one, known = self._truth_of(_with_item(condition, Item(of, Literal(at))))
             value, ended = (
@@ -252,13 +258,13 @@ class Formulas:
             case Literal(bool() | str()):
                 raise _UndecidedError
             case Literal(value):
-                return z3.RealVal(Fraction(value)), z3.BoolVal(True)
+                return z3.RealVal(Fraction(value)), self._true
             case Unary("-", of):
                 value, there = self._number(of)
                 return -value, there
             case Binary("+" | "-" | "*" | "/" as sign, left, right):
                 (one, first), (other, second) = self._number(left), self._number(right)
-                there = z3.And(first, second, other != 0) if sign == "/" else z3.And(first, second)
+                there = self._all(first, second, other != 0) if sign == "/" else self._all(first, second)
                 exact = {"+": one + other, "-": one - other, "*": one * other}.get(sign)
                 return self._as_computed(node, one / other if exact is None else exact), there
             case Binary("mod", left, Literal(int() as divisor)) if (
@@ -318,7 +324,7 @@ class Formulas:
             return z3.If(value < 0, -value, value), there
         for other, also in terms[1:]:
             value = z3.If((value < other) == (function == "min"), value, other)
-            there = z3.And(there, also)
+            there = self._all(there, also)
         return value, there
 
     def _length(self, of: Node) -> Term:
@@ -345,9 +351,9 @@ class Formulas:
         z3 = self._z3
         match node:
             case Literal(str() as text) if wanted is ValueKind.TEXT:
-                return z3.IntVal(self._number_of(text)), z3.BoolVal(True)
+                return z3.IntVal(self._number_of(text)), self._true
             case Literal(bool() as truth) if wanted is ValueKind.BOOLEAN:
-                return z3.BoolVal(truth), z3.BoolVal(True)
+                return z3.BoolVal(truth), self._true
             case Field() | Item():
                 kind, there = self._place(node)
             case _:
@@ -383,13 +389,13 @@ class Formulas:
 
     def _place(self, node: Node) -> tuple[ValueKind, Any]:
         """Return the kind of a named value, and the condition for the value to exist."""
-        z3, there = self._z3, self._z3.BoolVal(True)
+        z3, there = self._z3, self._true
         of = node
         while isinstance(of, Field | Item):
             if isinstance(of, Item):
                 at, known = self._number(of.index)
                 length, exists = self._length(of.of)
-                there = z3.And(there, known, exists, at >= 0, at < length)
+                there = self._all(known, exists, at >= 0, at < length)
                 return self._kind(node), there
             if isinstance(of.of, Name):
                 break

@@ -6,6 +6,7 @@ capped, linear programming finds semiflows for what the others leave out.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
 from math import gcd
 
 from im_core.clock import thread_cpu
@@ -129,20 +130,28 @@ class _Table:
         self._next = 0
         self._positive: dict[int, set[int]] = {}
         self._negative: dict[int, set[int]] = {}
+        self._changed: set[int] = set()
         for index, pairs in enumerate(start):
             self._add(_Row(dict(pairs), {index: 1}, 1 << index))
 
     def eliminate(self, columns: set[int]) -> None:
         """Make the rest of every row zero, as far as time and room permit."""
+        cheapest = [(self._growth(column), column) for column in columns]
+        heapify(cheapest)
         while columns:
-            column = min(columns, key=lambda c: (self._growth(c), c))
+            growth, column = heappop(cheapest)
+            if column not in columns or growth != self._growth(column):
+                continue  # its growth has changed, and is in the heap, too
             columns.remove(column)
+            self._changed.clear()
             up, down = sorted(self._positive.get(column, ())), sorted(self._negative.get(column, ()))
             parents = [self.rows[number] for number in up], [self.rows[number] for number in down]
             for number in up + down:
                 self._remove(number)
             if not self._combine(column, *parents):
                 return
+            for changed in self._changed:
+                heappush(cheapest, (self._growth(changed), changed))
 
     def _growth(self, column: int) -> int:
         up, down = len(self._positive.get(column, ())), len(self._negative.get(column, ()))
@@ -172,11 +181,14 @@ class _Table:
         self.rows[self._next] = row
         for column, value in row.rest.items():
             (self._positive if value > 0 else self._negative).setdefault(column, set()).add(self._next)
+        self._changed.update(row.rest)
         self._next += 1
 
     def _remove(self, number: int) -> None:
-        for column, value in self.rows.pop(number).rest.items():
+        rest = self.rows.pop(number).rest
+        for column, value in rest.items():
             (self._positive if value > 0 else self._negative)[column].discard(number)
+        self._changed.update(rest)
 
 
 def _combination(up: _Row, down: _Row, column: int) -> _Row:

@@ -66,9 +66,10 @@ def verify_in_parts(
     divided = parts(nets) if len(nets) > 1 else [list(nets)]
     if len(divided) == 1:
         return verify(nets, limits, structure=structure, progress=progress)
-    from im_pnt_analysis.composition.callers import callers  # brings a library that few nodes need
+    from im_pnt_analysis.composition.callers import Callers  # brings a library that few nodes need
 
-    standing = [callers(part, nets) for part in divided]
+    callers = Callers(nets)
+    standing = [callers.of(part) for part in divided]
     if None in standing:
         return verify(nets, limits, structure=structure, progress=progress)
     together = [[*part, *(others or ())] for part, others in zip(divided, standing, strict=True)]
