@@ -156,6 +156,9 @@ def test_its_cameras_are_calibrated_by_the_light_on_its_wrist(machine, cell, gro
     assert [camera["name"] for camera in report["cameras"]] == list(shipped.cameras)
     assert report["points_used"] >= 12
     assert report["verdicts"] == []
+    places, expected = np.array([pose["position_m"] for pose in few["poses"]]), report["expected_error"]
+    assert (np.array(expected["workspace_low_m"]) > places.min(axis=0) - 0.2).all(), "where this arm has its light"
+    assert (np.array(expected["workspace_high_m"]) < places.max(axis=0) + 0.2).all()
     truth = json.loads(machine.call(GetTruth, "/testbed/get_truth").json)
     for camera in report["cameras"]:
         true = np.array(truth["cameras"][camera["name"]]["K"])[0, 0]

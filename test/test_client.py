@@ -83,6 +83,8 @@ def test_an_arm_is_reserved_moved_and_given_back(im):
                 arm.move_to(**given)
         with pytest.raises(MachineError, match="group left has no joint left_j7; there are left_track"):
             arm.move_joints(left_j7=0.0)
+        with pytest.raises(MachineError, match="move_joints of group left needs a position of one of left_track"):
+            arm.move_joints()
     assert im.state.state == "cold"
 
 

@@ -66,9 +66,8 @@ def request():
 def answered(asked):
     sizes = {name: (model.width, model.height) for name, model in MODELS.items()}
     request = from_request(asked)
-    problem = problem_of(
-        request.cameras, request.observations, request.lengths, sizes, (OFFSET, PRIOR_SD), SETTINGS.cameras
-    )
+    led, box = (OFFSET, PRIOR_SD), CELL.workspace_box
+    problem = problem_of(request.cameras, request.observations, request.lengths, sizes, led, SETTINGS.cameras, box)
     report = report_of(calibrate(problem), problem)
     assert report["success"]
     return report

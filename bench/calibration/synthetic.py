@@ -1,6 +1,6 @@
 """Seeded synthetic calibration problems with their truth: for tests, and to see what a design of poses would give."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ _TURNS_RAD, _SHIFT_M, _GEAR_RAD = (3e-4, 3e-4, 1e-3), 2e-4, 3e-4
 
 OUTLIER_KINDS = ("blob", "bias", "stale")
 """A blob anywhere in the image; a spot displaced by 2 to 10 px; a joint reading of another moment, 3 to 10 cm off."""
+
+#: Where the light of a scene is, if its design says nothing else.
+BOX = Workspace((-1.0, -0.5, 0.6), (1.0, 0.5, 1.6))
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Design:
     missing_share: float = 0.0
     led_offset_prior_sd: float = 5e-3
     joint_offset_prior_sd: float = 0.0
-    workspace: Workspace = field(default_factory=Workspace)
+    workspace: Workspace = BOX
     scale_error: float = 0.0
     lengths: int = 0
 

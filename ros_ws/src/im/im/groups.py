@@ -153,11 +153,13 @@ class Arm(Group):
             **positions: Position by joint [rad or m], such as ``elbow=0.3``.
 
         Raises:
-            MachineError: There is no such joint, or the motion failed or was refused.
+            MachineError: There is no such joint, or none is given, or the motion failed or was refused.
         """
         present = self.joints
+        known = ", ".join(present)
+        if not positions:
+            raise MachineError(f"move_joints of group {self.name} needs a position of one of {known}", "argument")
         if unknown := positions.keys() - present.keys():
-            known = ", ".join(present)
             raise MachineError(f"group {self.name} has no joint {sorted(unknown)[0]}; there are {known}", "argument")
         goal = {**present, **{joint: number_of(joint, position) for joint, position in positions.items()}}
         path = _path(list(goal), list(goal.values()))

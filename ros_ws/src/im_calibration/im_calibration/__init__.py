@@ -9,13 +9,15 @@ A ceiling camera from simulated spots; the examples of the names below go on wit
     >>> import numpy as np
     >>> from im_calibration import *
     >>> from im_cell.camera_model import CameraModel
+    >>> from im_cell.workspace import box_around
     >>> K = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
     >>> true = CameraModel(640, 480, K, np.zeros(5), np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 3.0]))
     >>> places = np.random.default_rng(1).uniform((-0.7, -0.5, 0.6), (0.7, 0.5, 1.6), (40, 3))
     >>> still = np.tile(np.eye(3), (40, 1, 1))
     >>> noise = np.random.default_rng(2).normal(0.0, 0.1, (1, 40, 2))
     >>> spots, of_spots = true.project(places) + noise, np.tile(1e-2 * np.eye(2), (1, 40, 1, 1))
-    >>> problem = CalibrationProblem(("ceiling",), ((640, 480),), places, 1e-8 * still, still, spots, of_spots)
+    >>> box = box_around(places)
+    >>> problem = CalibrationProblem(("ceiling",), ((640, 480),), places, 1e-8 * still, still, spots, of_spots, box)
     >>> calibration = calibrate(problem)
     >>> calibration.success, f"{calibration.cameras[0].model.position[2]:.1f} m high"
     (True, '3.0 m high')

@@ -27,7 +27,7 @@ def observation(number, jacobian):
 
 
 def problem(*observations):
-    return problem_of(("eye",), observations, (), {"eye": (640, 480)}, ((0.0, 0.0, 0.1), 0.01), {"eye"})
+    return problem_of(("eye",), observations, (), {"eye": (640, 480)}, ((0.0, 0.0, 0.1), 0.01), {"eye"}, None)
 
 
 def test_derivatives_by_the_errors_of_the_arm_come_into_the_problem():

@@ -9,6 +9,7 @@ from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrin
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
 from im_cell.lens import LENSES
+from im_cell.workspace import box_around
 
 STEP = 1e-6
 
@@ -54,7 +55,7 @@ def test_derivatives_by_the_parameters(cameras):
     problem = CalibrationProblem(
         camera_names=("a", "b", "c"), image_sizes=((640, 480),) * 3, positions=points,
         position_covariances=np.zeros((7, 3, 3)), wrist_rotations=np.tile(np.eye(3), (7, 1, 1)), spots=rows,
-        spot_covariances=np.tile(np.eye(2), (3, 7, 1, 1)), lens_models=tuple(LENSES),
+        spot_covariances=np.tile(np.eye(2), (3, 7, 1, 1)), workspace=box_around(points), lens_models=tuple(LENSES),
     )  # fmt: skip
     layout, analytic = ParameterLayout.of(problem), project(unknowns, points)[2]
     assert layout.size == 14 + 18 + 14

@@ -19,8 +19,8 @@ class Workspace:
         high: Upper corner [m].
     """
 
-    low: tuple[float, float, float] = (-1.0, -0.5, 0.6)
-    high: tuple[float, float, float] = (1.0, 0.5, 1.6)
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
 
     def __post_init__(self) -> None:
         """Check the corners.
@@ -45,8 +45,25 @@ class Workspace:
         Returns:
             Points, shape (counts[0] * counts[1] * counts[2], 3) [m].
 
-        >>> Workspace().grid((2, 1, 1)).tolist()
+        >>> Workspace((-1.0, -0.5, 0.6), (1.0, 0.5, 1.6)).grid((2, 1, 1)).tolist()
         [[-0.5, 0.0, 1.1], [0.5, 0.0, 1.1]]
         """
         axes = [a + (b - a) * (np.arange(n) + 0.5) / n for a, b, n in zip(self.low, self.high, counts, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def box_around(positions: Array) -> Workspace:
+    """Return the box of most positions, shape (n, 3) [m]: errors are predicted where data are.
+
+    Raises:
+        DataError: There is no position of finite numbers.
+
+    >>> box_around(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 2.0]])).high[1] > 0.0
+    True
+    """
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    if not len(finite):
+        raise DataError("A calibration needs poses, none is given.")
+    low, high = np.quantile(finite, (0.03, 0.97), axis=0)
+    high = np.maximum(high, low + np.maximum(1e-3, 1e-12 * np.abs(low)))
+    return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))

@@ -17,7 +17,7 @@ def camera(x, focal=600.0):
     return CameraModel(640, 480, K, D, rotation, -rotation @ np.array([x, 0.0, 4.0]))
 
 
-POINTS = Workspace().grid((4, 3, 3))
+POINTS = Workspace((-1.0, -0.5, 0.6), (1.0, 0.5, 1.6)).grid((4, 3, 3))
 
 
 def test_true_cameras_have_no_error():

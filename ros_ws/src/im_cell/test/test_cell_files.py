@@ -54,6 +54,21 @@ def test_a_page_of_yaml_beside_a_urdf_is_a_cell(read):
     assert '<joint name="a" type="revolute">' in urdf(cell)
 
 
+def test_a_workspace_is_that_of_the_file_and_never_of_another_cell(read):
+    camera = "cameras:\n  eye: {parent: world, position: [1, 0, 1], target: [0, 0, 0], up: [0, 0, 1], "
+    camera += "intrinsics: {width: 640, height: 480, fx: 600, fy: 600, cx: 319.5, cy: 239.5}}\n"
+    said = "no workspace; errors of calibrated cameras are given where their light was"
+    assert said not in read(robot()).assumed, "there are no cameras"
+    without = read(robot(), CELL + camera)
+    assert without.workspace_box is None
+    assert said in without.assumed
+    given = read(robot(), CELL + camera + "workspace: [[0, 0, 0], [0.1, 0.2, 0.3]]\n")
+    assert given.workspace_box.high == (0.1, 0.2, 0.3)
+    assert said not in given.assumed
+    with pytest.raises(ConfigError, match=r"workspace: The workspace from .* has a side that is not longer than zero"):
+        read(robot(), CELL + "workspace: [[0, 0, 0], [0.1, 0.0, 0.3]]\n")
+
+
 def test_a_urdf_in_a_package_is_found(tmp_path, monkeypatch):
     folder = tmp_path / "share" / "my_robot" / "urdf"
     folder.mkdir(parents=True)

@@ -156,7 +156,7 @@ def problem_of_light(cameras: Sequence[str], observations: Sequence[Observation]
     """
     cell = load_cell()
     led = cell.led.offset, cell.led.offset_prior_sd
-    return problem_of(tuple(cameras), observations, (), _image_sizes(cell), led, cell.cameras)
+    return problem_of(tuple(cameras), observations, (), _image_sizes(cell), led, cell.cameras, cell.workspace_box)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from im_cell.robot import Cell
 from im_cell.robot.parameters import Vector
 from im_cell.robot.truth import CameraTruth, CellTruth, Matrix, errors_of, tool_errors
 from im_cell.rotations import cross_matrix, matrix_of_vector
-from im_cell.workspace import Workspace
+from im_cell.workspace import Workspace, box_around
 from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.files import FileError, write_whole
@@ -141,7 +141,7 @@ def truth_error(
         true.append(replace(model, R_cam_base=R, t_cam_base=t))
         estimated.append(_model(real.width, real.height, camera))
     low, high = calibration.expected_error.workspace_low_m, calibration.expected_error.workspace_high_m
-    workspace = Workspace(low, high) if low and high else Workspace()
+    workspace = Workspace(low, high) if low and high else box_around(positions)
     error = evaluate(estimated, true, workspace.grid())
     offset = np.subtract(calibration.led_offset_m, truth.leds[calibration.light].offset_m)
     by_light = calibration.target is None

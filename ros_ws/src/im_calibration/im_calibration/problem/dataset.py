@@ -26,7 +26,7 @@ from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem, Kn
 from im_calibration.problem.target_problem import TargetTable, table_of
 from im_calibration.targets.views import TargetViews
 from im_cell.lens import PLUMB_BOB, lens_of
-from im_cell.workspace import Workspace
+from im_cell.workspace import Workspace, box_around
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
 from im_core.files import MEBIBYTE
@@ -207,7 +207,7 @@ class DataSet(_Section):
             joint_offset_prior_sd=joint_prior,
             joint_jacobians=self.J_joint if joint_prior else None,
             arm_jacobians=self.J_arm,
-            workspace=_box_around(trial.x_base_m)
+            workspace=box_around(trial.x_base_m)
             if self.workspace_m is None
             else Workspace(*map(_place, self.workspace_m)),
             pose_names=self.pose_names or (),
@@ -397,15 +397,6 @@ def _placed(place: str, error: DataError) -> DataError:
     placed = DataError(f"{place}: {error.message}", code=error.code)
     placed.facts.update({"place": place, **error.facts})
     return placed
-
-
-def _box_around(positions: Array) -> Workspace:
-    """Box of most positions: errors are predicted where data are, which a file says nothing else about."""
-    if not len(positions):
-        return Workspace()
-    low, high = np.quantile(positions, 0.03, axis=0), np.quantile(positions, 0.97, axis=0)
-    high = np.maximum(high, low + np.maximum(1e-3, 1e-12 * np.abs(low)))
-    return Workspace(_place(low), _place(high))
 
 
 def _place(array: Array) -> tuple[float, float, float]:

@@ -13,6 +13,7 @@ from im_calibration.targets.target import CalibrationTarget
 from im_calibration.targets.views import RobotPoses, TargetViews
 from im_cell.lens import PLUMB_BOB
 from im_cell.rotations import matrix_of_quaternion
+from im_cell.workspace import Workspace, box_around
 from im_core.errors import DataError, NotFoundError
 
 Array = NDArray[np.float64]
@@ -97,6 +98,7 @@ def problem_of(
     image_sizes: Mapping[str, tuple[int, int]],
     led_offset: tuple[tuple[float, float, float], float],
     known: Collection[str],
+    workspace: Workspace | None,
 ) -> CalibrationProblem:
     """Return observations in the solver's terms.
 
@@ -107,6 +109,7 @@ def problem_of(
         image_sizes: Width and height of the images of each camera [px].
         led_offset: Nominal place of the light in the wrist frame, and how well each axis of it is known [m].
         known: Cameras that there are; others than `cameras` may have spots.
+        workspace: Where errors are predicted; None: around the places of the light.
 
     Raises:
         ImError: There is no observation, one is malformed, or of a camera that is not known, or they are of arms with
@@ -119,14 +122,16 @@ def problem_of(
     if len(errors) > 1:
         raise DataError(f"the observations have arm_jacobian of {sorted(errors)} columns, one number is needed")
     spots, covariances = _spots(cameras, [observation.spots for observation in observations], known)
+    positions = np.array([o.position + o.rotation @ offset for o in observations])
     return CalibrationProblem(
         camera_names=cameras,
         image_sizes=tuple(image_sizes[camera] for camera in cameras),
-        positions=np.array([o.position + o.rotation @ offset for o in observations]),
+        positions=positions,
         position_covariances=np.array([o.position_covariance for o in observations]),
         wrist_rotations=np.array([o.rotation for o in observations]),
         spots=spots,
         spot_covariances=covariances,
+        workspace=workspace or box_around(positions),
         led_offset_prior_sd=prior_sd,
         arm_jacobians=np.array([o.arm_jacobian for o in observations]) if errors != {0} else None,
         led_offset_nominal=nominal,

@@ -1,7 +1,7 @@
 """Input of a calibration: LED positions by the robot, spots in the cameras, and known lengths."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -97,6 +97,7 @@ class CalibrationProblem:
         wrist_rotations: Rotations wrist -> base, shape (n, 3, 3).
         spots: Spot centres, NaN where a camera saw none, shape (c, n, 2) [px].
         spot_covariances: Covariances of `spots`, ignored where there is no spot, shape (c, n, 2, 2) [px^2].
+        workspace: Where errors are predicted.
         led_offset_prior_sd: Prior standard deviation of each axis of `e` [m]; 0: the nominal offset is exact.
         led_offset_nominal: Nominal LED offset in the wrist frame, for the report only [m].
         joint_offset_prior_sd: Prior standard deviation of each element of `dq` [rad]; 0: no joint offsets.
@@ -104,7 +105,6 @@ class CalibrationProblem:
         arm_jacobians: Derivatives of the positions by the errors of the arm's kinematics, each in units of its usual
             size, shape (n, 3, m) [m]; None: the kinematics are not known.
         pose_names: One label a pose; empty: "0", "1", ...
-        workspace: Where errors are predicted.
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
         lens_models: Name of each camera's lens model, see :data:`im_cell.lens.LENSES`; empty: all `plumb_bob`.
         noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
@@ -125,13 +125,13 @@ class CalibrationProblem:
     wrist_rotations: Array
     spots: Array
     spot_covariances: Array
+    workspace: Workspace
     led_offset_prior_sd: float = 0.0
     led_offset_nominal: tuple[float, float, float] = (0.0, 0.0, 0.0)
     joint_offset_prior_sd: float = 0.0
     joint_jacobians: Array | None = None
     arm_jacobians: Array | None = None
     pose_names: tuple[str, ...] = ()
-    workspace: Workspace = field(default_factory=Workspace)
     lengths: KnownLengths | None = None
     lens_models: tuple[str, ...] = ()
     noise_to_estimate: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.targets.views import RobotPoses, TargetViews
 from im_cell.lens import lens_of
 from im_cell.rotations import cross_matrix
-from im_cell.workspace import Workspace
+from im_cell.workspace import box_around
 from im_core.config import FieldError, Model
 
 Array = NDArray[np.float64]
@@ -142,8 +142,6 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         arm = ArmError.of_readings(robot.poses, k, levers) if robot.arm is None else None
     deviations = np.where(np.isfinite(views.deviations), views.deviations, np.nanmedian(views.deviations))
     n = len(k)
-    low, high = np.quantile(positions, (0.03, 0.97), axis=0)
-    high = np.maximum(high, low + 1e-3)
     given = tuple(_precision(views, c) for c in range(len(views.camera_names)))
     return CalibrationProblem(
         camera_names=views.camera_names,
@@ -155,7 +153,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         spots=views.spots[:, k, p],
         spot_covariances=deviations[:, k, p][..., None, None] ** 2 * np.eye(2),
         pose_names=tuple(f"{views.names[view]} point {point}" for view, point in zip(k, p, strict=True)),
-        workspace=Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2])),
+        workspace=box_around(positions),
         lens_models=views.lens_models,
         noise_to_estimate=noise_to_estimate,
         readings=() if robot is None else tuple(views.names[view] for view in k),

@@ -28,6 +28,7 @@ from im_cell.robot.parameters import (
     Hull,
     Led,
     Number,
+    Place,
     Size,
     Vector,
     WristSensor,
@@ -35,8 +36,9 @@ from im_cell.robot.parameters import (
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import WORLD, Joint, LinkInertia, Tree, assumptions, joint_of
 from im_cell.rotations import matrix_of_rpy
+from im_cell.workspace import Workspace
 from im_core.config import FieldError, load_model, package_file
-from im_core.errors import ConfigError, nearest, shortened
+from im_core.errors import ConfigError, DataError, nearest, shortened
 from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.names import CELL, OBJECTS
 from im_core.text.yamltext import Location
@@ -81,12 +83,28 @@ class Cell(ObjectsFile):
     wrist_sensor: WristSensor = WristSensor()
     led: Led = Led()
     boxes: tuple[Box, ...] = ()
+    workspace: tuple[Place, Place] | None = None
     cameras: dict[str, Camera] = Field(default_factory=dict)
     camera_body: Size = (0.04, 0.04, 0.05)
     optics: Optics = Optics(blur=0.9, vignetting=0.15)
     mirrors: tuple[Mirror, ...] = ()
     lamps: tuple[Lamp, ...] = ()
     laser: LaserScanner | None = None
+
+    @field_validator("workspace")
+    @classmethod
+    def _has_sides(cls, corners: tuple[Vector, Vector] | None) -> tuple[Vector, Vector] | None:
+        if corners is not None:
+            try:
+                Workspace(*corners)
+            except DataError as error:
+                raise ValueError(error.message) from error
+        return corners
+
+    @property
+    def workspace_box(self) -> Workspace | None:
+        """Box in which errors of calibrated cameras are given; None: around the places of the light."""
+        return None if self.workspace is None else Workspace(*self.workspace)
 
     @field_validator("urdf", "srdf", "poses")
     @classmethod
@@ -299,7 +317,9 @@ class Cell(ObjectsFile):
     @cached_property
     def assumed(self) -> tuple[str, ...]:
         """Assumptions where URDF and cell file are silent, as sentences."""
-        return tuple(assumptions(self.tree, self.drives)[1])
+        boxless = self.cameras and self.workspace is None
+        place = "no workspace; errors of calibrated cameras are given where their light was"
+        return (*assumptions(self.tree, self.drives)[1], *([place] if boxless else []))
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:

@@ -69,7 +69,8 @@ class CellMarkers(ResidualMarkers):
         markers += super()._markers()
         markers += [_plate(rank, target) for rank, target in enumerate(self._cell.targets)]
         markers += [self._light(rank, name, lit) for rank, (name, lit) in enumerate(self._lights.items())]
-        return [*markers, _workspace(Workspace())]
+        box = self._cell.workspace_box
+        return markers if box is None else [*markers, _workspace(box)]
 
     def _switched(self, message: String) -> None:
         self._lights = lights_told(message.data, self._cell)

@@ -131,7 +131,9 @@ def dataset_and_problem(
         noise = noise_to_estimate or TARGET_NOISE
         return dataset_of_views(views, noise), problem_of_views(views, noise)
     offset = offset or (cell.led.offset, cell.led.offset_prior_sd)
-    problem = problem_of(request.cameras, request.observations, request.lengths, sizes, offset, known)
+    problem = problem_of(
+        request.cameras, request.observations, request.lengths, sizes, offset, known, cell.workspace_box
+    )
     noise = noise_to_estimate or problem.noise_to_estimate
     problem = replace(problem, lens_models=lenses or problem.lens_models, noise_to_estimate=noise)
     return dataset_of(problem), problem
