@@ -12,6 +12,7 @@ from im_mcs.poses.common import CommonView
 from im_mcs.poses.selection import farthest_first, spread_of
 from im_mcs.poses.view import facing, stand
 
+LIGHT_M = 0.02
 JOINTS = tuple(f"left_{name}" for name in ("track", "rotation", "tilt", "j1", "j2", "j3", "j4", "j5", "j6"))
 
 
@@ -30,7 +31,12 @@ def common_view(cell, config, names):
     index = np.array([model.index(joint) for joint in JOINTS], dtype=np.intp)
     limits = JointLimits(model.cell, config.limits, config.slots)
     return CommonView(
-        model, limits, index, "left_wrist", stand(model, names, "left", JOINTS), np.array(model.cell.led.offset)
+        model,
+        limits,
+        index,
+        "left_wrist",
+        stand(model, names, "left", JOINTS, LIGHT_M),
+        np.array(model.cell.led.offset),
     )
 
 
@@ -53,15 +59,23 @@ def test_cameras_without_a_common_view_are_named(cell, config, names, message):
 
 
 def test_a_place_is_seen_where_the_camera_model_puts_it_inside_the_image(model):
-    (view,) = stand(model, ["wall"], "left", JOINTS)
+    (view,) = stand(model, ["wall"], "left", JOINTS, LIGHT_M)
     camera = model.cell.cameras["wall"]
     K = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
     reference = CameraModel(640, 480, K, np.zeros(5), *camera.pose())
     points = np.random.default_rng(3).uniform((-3.0, -4.0, -1.0), (3.0, 2.0, 4.0), (2000, 3))
-    near = np.linalg.norm(points - np.array(camera.position), axis=1) < 0.9
+    near = np.linalg.norm(points - np.array(camera.position), axis=1) < view.nearest
     inside = reference.contains(reference.project(points), margin=20.5) & ~near
     assert 200 < inside.sum() < 1800
     assert (view.sees(points) == inside).all()
+
+
+def test_a_smaller_light_may_come_nearer_and_a_board_to_wherever_it_is_whole_in_the_image(model):
+    (usual,), (small,), (board,) = (stand(model, ["wall"], "left", JOINTS, size) for size in (LIGHT_M, 0.005, 0.0))
+    assert usual.nearest == pytest.approx(0.9, abs=0.01), "that of the shipped cell"
+    assert small.nearest == pytest.approx(usual.nearest / 4.0)
+    ahead = np.array([0.0, 0.0, 0.5]) @ usual.rotation + usual.position
+    assert [bool(view.sees(ahead[None])[0]) for view in (usual, small, board)] == [False, True, True]
 
 
 def test_the_common_view_holds_only_what_all_see(cell, config, model):
@@ -69,13 +83,13 @@ def test_the_common_view_holds_only_what_all_see(cell, config, model):
     points = np.random.default_rng(4).uniform(common.lower, common.upper, (500, 3))
     held = points[common.holds(points)]
     assert len(held) > 100
-    for view in stand(model, ["wall", "table"], "left", JOINTS):
+    for view in stand(model, ["wall", "table"], "left", JOINTS, LIGHT_M):
         assert view.sees(held).all()
 
 
 @pytest.mark.parametrize("names", [["wall"], ["wall", "table"], ["ceiling_left", "ceiling_right", "wall", "table"]])
 def test_a_light_faces_the_cameras_as_well_as_any_direction_does(model, names):
-    views = stand(model, names, "left", JOINTS)
+    views = stand(model, names, "left", JOINTS, LIGHT_M)
     directions = Rotation.random(20000, random_state=5).apply([0.0, 0.0, 1.0])
     for light in ((0.1, 0.2, 1.1), (-0.7, -0.3, 0.8)):
         towards, best = facing(np.array(light), views)

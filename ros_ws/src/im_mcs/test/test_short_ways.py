@@ -66,6 +66,6 @@ def test_each_round_tells_a_time_that_is_no_longer_than_the_one_before():
     ways = ShortWays(distances, lambda rank, q, spread: q + spread * rng.normal(size=(20, 2)), lambda a, b: True)
     found = ways.shorten(START, first, told.append)
     times = [float(sentence.split(": ")[1].split()[0]) for sentence in told]
-    assert len(times) == ROUNDS
+    assert 1 < len(times) <= ROUNDS
     assert times == sorted(times, reverse=True)
     assert length([q for _, q in found]) < length(first)

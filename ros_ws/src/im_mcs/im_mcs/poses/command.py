@@ -125,7 +125,7 @@ def make_selector(
         checker=CollisionChecker(model, config.collision.clearance_m),
         index=np.array([model.index(joint) for joint in description.joints], dtype=np.intp),
         frame=description.wrist,
-        views=stand(model, cameras, group, description.joints),
+        views=stand(model, cameras, group, description.joints, cell.led.diameter if target == "light" else 0.0),
         shown=carried(cell, cell.board_of(group) if target == "board" else None),
     )
     return selector, group

@@ -10,9 +10,10 @@ from im_cell.visit_order import BLOCKED_S, visit_order
 
 Array = NDArray[np.float64]
 
-#: Rounds of drawn configurations, the share of the spread that the next round keeps, and a saving that is rounding [s].
+#: Most rounds of drawn configurations, the share of the spread that the next round keeps, the share of the time that a
+#: round must save for another one, and a saving that is rounding [s].
 ROUNDS = 6
-_NARROWER, _ROUNDING_S = 0.7, 1e-6
+_NARROWER, _SAVED, _ROUNDING_S = 0.7, 5e-3, 1e-6
 
 
 class ShortWays:
@@ -44,14 +45,16 @@ class ShortWays:
             first: A configuration for each pose.
             told: Takes a sentence of progress.
         """
-        best, spread = [start, *first], 1.0
+        best, spread, before = [start, *first], 1.0, np.inf
         order = list(range(len(best)))
         for number in range(1, ROUNDS + 1):
             drawn = [self._others(rank, q, spread) for rank, q in enumerate(best[1:])]
             choices = [start[None], *(np.vstack([q, more]) for q, more in zip(best[1:], drawn, strict=True))]
             order, best, seconds = self._round(order, choices)
             told(f"round {number} of {ROUNDS}: {seconds:.1f} s of motion")
-            spread *= _NARROWER
+            if seconds > (1.0 - _SAVED) * before:
+                break
+            spread, before = spread * _NARROWER, seconds
         return [(rank - 1, best[rank]) for rank in order[1:]]
 
     def _round(self, order: list[int], choices: list[Array]) -> tuple[list[int], list[Array], float]:

@@ -15,8 +15,8 @@ from im_mcs.model import CellModel
 
 # What nominal cameras may be off: true ones see a light that nominal ones see with these margins.
 _MARGIN_PX = 20.0
-# A light nearer than this is a disc in the image, not a spot.
-_NEAREST_M = 0.9
+# A light whose image has a larger radius is a disc, not a spot.
+_LARGEST_SPOT_PX = 6.7
 _OPPOSITE = 1e-9
 
 
@@ -29,12 +29,14 @@ class View:
         rotation: ``world`` -> optical frame, shape (3, 3).
         position: Optical centre, shape (3,) [m].
         lens: Image size and pinhole.
+        nearest: Least distance of what it shall see [m].
     """
 
     name: str
     rotation: NDArray[np.float64]
     position: NDArray[np.float64]
     lens: Intrinsics
+    nearest: float
 
     def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which points, shape (n, 3) [m], lie well inside the image and not too near, shape (n,)."""
@@ -44,12 +46,19 @@ class View:
         u, v = self.lens.fx * x / depth + self.lens.cx, self.lens.fy * y / depth + self.lens.cy
         across = (u >= _MARGIN_PX) & (u <= self.lens.width - 1.0 - _MARGIN_PX)
         down = (v >= _MARGIN_PX) & (v <= self.lens.height - 1.0 - _MARGIN_PX)
-        far: NDArray[np.bool_] = np.linalg.norm(points - self.position, axis=1) >= _NEAREST_M
+        far: NDArray[np.bool_] = np.linalg.norm(points - self.position, axis=1) >= self.nearest
         return np.asarray(ahead & across & down & far)
 
 
-def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
+def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[str], diameter: float) -> list[View]:
     """Return cameras at the places during a move of a group, with all other joints at home.
+
+    Args:
+        model: Kinematics and the cameras.
+        names: Names of the cameras.
+        group: Name of the group.
+        joints: Its joints.
+        diameter: Of the light that they shall see; 0: no light [m].
 
     Raises:
         NotFoundError: There is no such camera.
@@ -70,7 +79,9 @@ def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[s
                 )
             parent = model.pose(model.cell.home, camera.parent)
         position = parent.act(-rotation.T @ translation)
-        views.append(View(name, rotation @ parent.rotation.T, np.asarray(position), camera.intrinsics))
+        lens = camera.intrinsics
+        nearest = lens.fx * diameter / (2.0 * _LARGEST_SPOT_PX)
+        views.append(View(name, rotation @ parent.rotation.T, np.asarray(position), lens, nearest))
     return views
 
 
