@@ -69,6 +69,19 @@ def test_a_workspace_is_that_of_the_file_and_never_of_another_cell(read):
         read(robot(), CELL + "workspace: [[0, 0, 0], [0.1, 0.0, 0.3]]\n")
 
 
+def test_where_the_light_and_the_jaws_are_is_told_where_nobody_says_it(read):
+    light, stroke, reach = (
+        "no offset of the light (led); it is at (0, 0.06, 0.05) m in the frame of the tip",
+        "no stroke of the gripper; it is 0.08 m",
+        "no reach of the gripper from the tip to its jaws; it is 0.15 m",
+    )
+    assert not {light, stroke, reach} & set(read(robot()).assumed)
+    both = CELL.replace("tip: tool,", "tip: tool, light: true, gripper: true,")
+    assert {light, stroke, reach} <= set(read(robot(), both).assumed)
+    told = read(robot(), both + "led: {offset: [0, 0, 0.1]}\ngripper: {reach: 0.0}\n").assumed
+    assert {light, stroke, reach} & set(told) == {stroke}
+
+
 def test_a_urdf_in_a_package_is_found(tmp_path, monkeypatch):
     folder = tmp_path / "share" / "my_robot" / "urdf"
     folder.mkdir(parents=True)

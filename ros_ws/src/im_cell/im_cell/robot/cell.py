@@ -317,9 +317,20 @@ class Cell(ObjectsFile):
     @cached_property
     def assumed(self) -> tuple[str, ...]:
         """Assumptions where URDF and cell file are silent, as sentences."""
-        boxless = self.cameras and self.workspace is None
-        place = "no workspace; errors of calibrated cameras are given where their light was"
-        return (*assumptions(self.tree, self.drives)[1], *([place] if boxless else []))
+        told = list(assumptions(self.tree, self.drives)[1])
+        if self.light_names and "offset" not in self.led.model_fields_set:
+            place = "({:g}, {:g}, {:g})".format(*self.led.offset)
+            told.append(f"no offset of the light (led); it is at {place} m in the frame of the tip")
+        if self.devices("gripper"):
+            for name, what in (
+                ("stroke", "stroke of the gripper"),
+                ("reach", "reach of the gripper from the tip to its jaws"),
+            ):
+                if name not in self.gripper.model_fields_set:
+                    told.append(f"no {what}; it is {getattr(self.gripper, name):g} m")
+        if self.cameras and self.workspace is None:
+            told.append("no workspace; errors of calibrated cameras are given where their light was")
+        return tuple(told)
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:
