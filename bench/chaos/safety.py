@@ -24,6 +24,7 @@ SHARE, ENERGY_J = 0.05, 0.05
 #: Ticks by which brakes may seem late: a state is read between two ticks.
 LATE_TICKS = 2
 #: How far above its limit a velocity may be before it is a leap: limits hold for setpoints, following has its error.
+#: Without power there are no setpoints: until the brakes hold, gravity drives, and :class:`Braking` judges.
 MARGIN = 1.2
 _POLL_S, _AGAIN_S = 0.005, 0.1
 
@@ -187,7 +188,7 @@ class Watch:
     def _look(self, control: ControlState, period_s: float, truth: TrueState) -> None:
         q, v = truth.q, truth.v
         fast = np.flatnonzero(np.abs(v) > self._limits)
-        if fast.size:
+        if fast.size and control.power:
             told = ", ".join(f"{self._names[rank]} {v[rank]:.2f}" for rank in fast)
             self._findings.append(f"faster than its limit: {told}")
         if self._rest_due:

@@ -1,6 +1,7 @@
 """What the chaos bench takes for true, false and left behind; the machine itself is tested end to end."""
 
 from random import Random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from bench.chaos import history, over_hosts
 from bench.chaos.command import Outcome
 from bench.chaos.faults import KINDS, ROLES, kill, stop
 from bench.chaos.records import BEGIN, END, Result, Verdict, append, document, read, table
-from bench.chaos.safety import Braking, Rest, Uncontrolled
+from bench.chaos.safety import Braking, Rest, Uncontrolled, Watch
 from bench.chaos.trial import judge
 from im_cell.link import ControlState, Drive
 from im_cell.robot import load_cell
@@ -164,6 +165,17 @@ def stopped(share, delay_s=CELL.brakes.delay):
         findings.append(rule.finding(told, plant.q, plant.v))
     plant.close()
     return np.abs(plant.v).max() < 1e-9, next(filter(None, findings), "")
+
+
+def test_a_joint_is_too_fast_with_power_alone_for_without_it_gravity_drives_until_the_brakes_hold():
+    fast = np.zeros(18)
+    fast[CELL.joint_names.index("left_tilt")] = 0.7
+    findings = []
+    for power in (True, False):
+        watch = Watch()
+        watch._look(control(1000, servo=7, power=power), PERIOD_S, SimpleNamespace(q=CELL.home, v=fast))
+        findings.append(watch.take_findings())
+    assert findings == [["faster than its limit: left_tilt 0.70"], []]
 
 
 def test_arms_travel_as_far_as_their_brakes_let_them():

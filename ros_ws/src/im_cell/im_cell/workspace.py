@@ -58,12 +58,13 @@ def box_around(positions: Array) -> Workspace:
     Raises:
         DataError: There is no position of finite numbers.
 
-    >>> box_around(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 2.0]])).high[1] > 0.0
-    True
+    >>> box_around(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 2.0]])).high
+    (0.97, 0.001, 1.97)
     """
     finite = positions[np.isfinite(positions).all(axis=1)]
     if not len(finite):
         raise DataError("A calibration needs poses, none is given.")
     low, high = np.quantile(finite, (0.03, 0.97), axis=0)
     high = np.maximum(high, low + np.maximum(1e-3, 1e-12 * np.abs(low)))
-    return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    (a, b, c), (x, y, z) = low.tolist(), high.tolist()
+    return Workspace((a, b, c), (x, y, z))
