@@ -6,7 +6,7 @@ import pytest
 from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
 from im_calibration.estimation.gates import Prediction
-from im_calibration.problem.dataset import _box_around
+from im_cell.workspace import box_around
 
 PROBLEM = make_scene(Design(led_offset_prior_sd=0.02), 32).problem
 
@@ -42,7 +42,7 @@ def test_a_far_origin_changes_nothing(far):
 def test_a_box_around_positions_is_as_large_far_from_the_origin():
     positions = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 3))
     far = np.array([500_123.0, 5_000_456.0, 312.0])
-    near, there = _box_around(positions), _box_around(positions + far)
+    near, there = box_around(positions), box_around(positions + far)
     np.testing.assert_allclose(np.subtract(there.high, there.low), np.subtract(near.high, near.low), atol=1e-6)
 
 
