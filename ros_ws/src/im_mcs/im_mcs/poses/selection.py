@@ -252,7 +252,7 @@ class PoseSelector:
         self, candidate: Candidate, q: NDArray[np.float64], spread: float, rng: np.random.Generator
     ) -> NDArray[np.float64]:
         """Draw usable configurations about ``q`` for the same pose, shape (m, n), at a spread of 0 to 1."""
-        found, carriers, arm = [q], ~self._of_arm, self._of_arm
+        found, carriers, arm = list[NDArray[np.float64]](), ~self._of_arm, self._of_arm
         lower, upper = self._limits.lower[self._index][carriers], self._limits.upper[self._index][carriers]
         for drawn in rng.normal(size=(_DRAWS if carriers.any() else 1, len(lower))):
             other = q.copy()
@@ -263,7 +263,7 @@ class PoseSelector:
                 whole[arm] = attempt.q
                 if self._usable(candidate, whole):
                     found.append(whole)
-        return np.array(found)
+        return np.reshape(found, (-1, len(q)))
 
     def _usable(self, candidate: Candidate, q: NDArray[np.float64]) -> bool:
         try:

@@ -66,7 +66,6 @@ class ShortWays:
             times = self._times(np.array(best), np.array(best))
             for (a, b), more in blocked.items():
                 times[a, b] += more[chosen[a], chosen[b]]
-                times[b, a] = times[a, b]
             shorter = visit_order(times)
             if sum(times[a, b] for a, b in pairwise(shorter)) < seconds - _ROUNDING_S:
                 order = shorter
