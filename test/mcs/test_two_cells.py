@@ -8,10 +8,12 @@ import pytest
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
+from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_msgs.action import Move
 from im_msgs.msg import GroupPath, GroupSetpoints
@@ -218,12 +220,15 @@ def test_pause_and_resume(ready):
     assert result().success
 
 
-def test_protective_stop_is_named_and_resumed(ready):
+def test_protective_stop_is_named_logged_and_resumed(ready):
+    log = ready.listen(Log, "/rosout", qos.EVENTS)
     _, result = ready.start_far_move()
     answer = ready.trigger("protective_stop")
     assert answer.success, answer.message
     ready.until(lambda: ready.states[-1].protective_stop)
     assert "request on /mcs/protective_stop" in ready.states[-1].protective_stop
+    sentence = f"group '{ready.group}': protective stop: request on /mcs/protective_stop"
+    ready.until(lambda: [entry for entry in log if entry.msg.startswith(sentence)])
     assert ready.state() == "motion"
     answer = ready.call(GroupCommand, "resume")
     assert answer.success, answer.message

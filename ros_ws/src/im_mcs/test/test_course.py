@@ -6,9 +6,11 @@ import pytest
 import yaml
 
 from im_mcs.limits.configuration import load_config
+from im_mcs.protocol.points import TimedPoints, pack_points
 from support.mcs_config import mcs_text
 
 LEFT = slice(0, 9)
+REFUSED = "trajectory controller cannot follow: the end of this motion is not known beforehand"
 
 
 @pytest.fixture
@@ -100,13 +102,49 @@ def test_a_resumed_motion_goes_on_to_its_end(followed, cell):
     np.testing.assert_allclose(followed.driver.q[LEFT], cell.home[LEFT] + 0.5, atol=1e-4)
 
 
-def test_a_stream_is_refused_by_name(followed, cell):
-    where = (cell.home[LEFT] + 0.01).tolist()
-    number = followed.send("stream", group="left", kind="setpoint", positions=where, lease_s=1.0)
+@pytest.mark.parametrize("kind", ["setpoint", "jog"])
+def test_a_stream_is_refused_by_name_and_nothing_moves(followed, cell, kind):
+    values = {"setpoint": {"positions": (cell.home[LEFT] + 0.01).tolist()}, "jog": {"velocities": [0.1] * 9}}
+    before = followed.mcs.setpoint.copy()
+    for _ in range(30):
+        reply = followed.ask("stream", group="left", kind=kind, lease_s=1.0, **values[kind])
+        assert REFUSED in reply["error"]["message"]
+        assert "evidence" not in reply["error"]["facts"]
     run(followed, 300)
-    assert "trajectory controller cannot follow: the end of this motion is not known" in str(followed.events)
+    np.testing.assert_array_equal(followed.mcs.setpoint, before)
     assert followed.courses == []
-    assert number
+
+
+def timed(cell, seconds, offset, velocity):
+    q = (cell.home[LEFT] + offset)[None]
+    points = TimedPoints(np.array([seconds]), q, np.full((1, 9), velocity), None)
+    return {"kind": "trajectory", "points": pack_points(points)}
+
+
+def test_trajectories_without_a_known_end_leave_the_motion_under_way_as_it_is(followed, cell):
+    """A client that plans anew thirty times a second moved setpoints a little each time; then the robot leapt there."""
+    begin(followed, cell, 0.5)
+    run(followed, 100)
+    goal = followed._number
+    for _ in range(30):
+        number = followed.send("move", group="left", path=timed(cell, 0.1, 0.1, 0.2), policy="replace")
+        run(followed, 7)
+        assert REFUSED in followed.reply(number)["error"]["message"]
+    run(followed, 1500)
+    assert followed.reply(goal)["success"]
+    (course,) = followed.courses
+    np.testing.assert_allclose(course[1].q[-1, LEFT], cell.home[LEFT] + 0.5, atol=1e-6)
+
+
+def test_the_newest_of_two_trajectories_from_rest_is_followed(followed, cell):
+    numbers = [
+        followed.send("move", group="left", path=timed(cell, 1.0, offset, 0.0), policy="replace")
+        for offset in (0.1, -0.1)
+    ]
+    run(followed, 1500)
+    assert followed.reply(numbers[0])["error"]["code"] == "replaced"
+    assert followed.reply(numbers[1])["success"]
+    np.testing.assert_allclose(followed.courses[-1][1].q[-1, LEFT], cell.home[LEFT] - 0.1, atol=1e-6)
 
 
 def test_a_line_and_a_motion_that_takes_over_are_courses(followed, cell, model):

@@ -200,11 +200,13 @@ class ControlledGroup:
             Whether it opened the goal.
 
         Raises:
-            StateError: A motion along a path is under way, or the group has no wrist for a twist.
+            StateError: A motion along a path is under way, the group has no wrist for a twist, or the robot's own
+                trajectory controller is to follow.
             NotFoundError: There is no such frame.
             DataError: It has not as many values as the group has joints.
             LimitError: The setpoint is beyond a limit.
         """
+        self.planner.require_open(self.name)
         goals, current = self._goals, self._goals.current
         fault = current.goal.fault if current is not None and current.stream is not None else None
         lapsed = fault is not None and fault.code == LAPSED and not goals.queue.motions

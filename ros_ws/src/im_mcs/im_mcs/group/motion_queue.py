@@ -107,9 +107,11 @@ class MotionQueue:
                     queued.move,
                     lambda: self._start(queued),
                     lambda: self._passed_s(queued),
-                    at_once=queued.at_once,
+                    at_once=queued.at_once and not planner.closed,
                 )
             queued.trajectory = queued.preparation.step()
+            if isinstance(queued.trajectory, TrackedTrajectory):
+                planner.require_open(self._name)
         except ImError as fault:
             self.end(rank, fault)
         except Exception as error:  # one motion that cannot be planned must not take the power of all groups

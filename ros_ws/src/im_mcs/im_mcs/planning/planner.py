@@ -28,6 +28,7 @@ class GroupPlanner:
     Attributes:
         setpoint: Of this tick.
         rate: Rate wanted, 0 (stand still on the path) to 1 (as planned).
+        closed: Whether only motions with an end that is known beforehand may be followed.
 
     Args:
         q: Where the group is, shape (n,) [rad or m]; the first setpoint.
@@ -39,7 +40,7 @@ class GroupPlanner:
     def __init__(self, q: NDArray[np.float64], period_s: float, divisor: int, limits: MotionLimits) -> None:
         self.period_s, self.divisor = period_s, divisor
         self.limits = limits
-        self.rate = 1.0
+        self.rate, self.closed = 1.0, False
         self._bases = {ticks: _basis(ticks, period_s) for ticks in range(1, divisor + 1)}
         self.hold(q)
 
@@ -116,31 +117,32 @@ class GroupPlanner:
 
     @property
     def plan(self) -> tuple[object, ...]:
-        """Objects that stay the same as long as the motion goes on as planned.
-
-        Raises:
-            StateError: The motion has no end that is known.
-        """
+        """Objects that stay the same as long as the motion of a closed planner goes on as planned."""
         return (self.follower, *self._planned.plan)
 
     @property
     def left_s(self) -> float:
-        """Time until the motion rests, if nothing changes [s]; raises as :attr:`plan`."""
+        """Time until the motion of a closed planner rests, if nothing changes [s]."""
         left_s = self._planned.left_s
         return left_s + len(self._ready) * self.period_s
 
     def course(self, times: NDArray[np.float64]) -> Setpoint:
-        """Return the setpoints at times after the present one, shape (m,) [s], if nothing changes: shape (m, n) each.
+        """Return the setpoints at times after the present one, shape (m,) [s], if nothing changes: shape (m, n) each."""
+        return self._planned.course(times - len(self._ready) * self.period_s)
+
+    def require_open(self, group: str) -> None:
+        """Check whether a motion without a known end may be followed.
 
         Raises:
-            StateError: The motion has no end that is known.
+            StateError: The robot's own trajectory controller is to follow.
         """
-        return self._planned.course(times - len(self._ready) * self.period_s)
+        if self.closed:
+            why = "the robot's trajectory controller cannot follow: the end of this motion is not known beforehand"
+            raise StateError(f"group '{group}': {why}", group=group)
 
     @property
     def _planned(self) -> PathFollower | Standing:
-        if not isinstance(self.follower, PathFollower | Standing):
-            raise StateError("the end of this motion is not known beforehand")
+        assert isinstance(self.follower, PathFollower | Standing), "a closed planner follows no other"
         return self.follower
 
     def advance(self) -> Setpoint:

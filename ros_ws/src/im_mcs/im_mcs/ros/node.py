@@ -63,6 +63,7 @@ class McsNode(ManagedNode):
             config = config.at_sample_rate(rate)
         self._last: dict[str, Any] | None = None
         self._fresh, self._state_told = False, 0.0
+        self._protective_stops: dict[str, str] = {}
         self._rates: tuple[RateStatistics, ...] = ()
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
@@ -134,7 +135,15 @@ class McsNode(ManagedNode):
         if not keeper.explained and now < self._state_told + _LONGEST_UNTOLD_S:
             return  # the cause of the state is on the way, and published with it
         self._state_told = now
-        self._topics.state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.read_past)
+        state = messages.mcs_state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.read_past)
+        self._topics.state(state)
+        self._log_protective_stops({group.group: group.protective_stop for group in state.groups})
+
+    def _log_protective_stops(self, causes: dict[str, str]) -> None:
+        for group, cause in causes.items():
+            if cause and cause != self._protective_stops.get(group):
+                self.get_logger().warning(f"group '{group}': protective stop: {cause}")
+        self._protective_stops = causes
 
     def _publish_diagnostics(self) -> None:
         mcs = self._mcs

@@ -110,6 +110,8 @@ class Mcs:
         )
         near = np.where(np.array(self.limits.units) == "m", config.planning.goal.m, config.planning.goal.rad)
         self._courses = Courses(testbed.followed, near, config.servo.period_s) if testbed.followed else None
+        if self._courses is not None:
+            self._courses.bind(self.groups.values())
         self._dispatch = Dispatch(self)
         if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
@@ -252,6 +254,8 @@ class Mcs:
         heirs = self.manager.check_repartition(joints, preset, sender)
         held = next((group.rates.held for group in before.values() if group.rates.held is not None), None)
         self.groups, self._collision = self._partitions.enter(preset)
+        if self._courses is not None:
+            self._courses.bind(self.groups.values())
         for group in self.groups.values():
             group.rates.held = held
         self.manager.repartition(joints, {name: group.index for name, group in self.groups.items()}, heirs)
@@ -369,9 +373,7 @@ class Mcs:
         )
 
     def _give_course(self, courses: Courses) -> None:
-        course, findings = courses.update(self.loop.engaged, self.loop.command, self._testbed.speed())
-        for finding in findings:
-            self._react(finding)
+        course = courses.update(self.loop.engaged, self.loop.command, self._testbed.speed())
         if course is not None:
             self._testbed.follow(course)
 

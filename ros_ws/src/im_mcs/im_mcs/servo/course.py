@@ -8,9 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError, StateError
 from im_mcs.group import ControlledGroup
-from im_mcs.safety import Reaction, SafetyFinding
 from im_mcs.testbed import PlannedCourse
 
 _STEP_S = 0.05
@@ -36,6 +34,11 @@ class Courses:
         self._plan: list[object] = []
         self._end: NDArray[np.float64] | None = None
 
+    def bind(self, groups: Iterable[ControlledGroup]) -> None:
+        """Let groups with followed joints take only motions with ends that are known beforehand."""
+        for group in groups:
+            group.planner.closed = self._follows(group)
+
     def scale(self, groups: Iterable[ControlledGroup], speed: float, error: NDArray[np.float64]) -> None:
         """Let the setpoints of followed groups be as fast as the robot follows.
 
@@ -60,8 +63,8 @@ class Courses:
 
     def update(
         self, engaged: Sequence[ControlledGroup], command: NDArray[np.float64], speed: float
-    ) -> tuple[PlannedCourse | None, list[SafetyFinding]]:
-        """Return a course, if it is another one than before; and findings for motions without one.
+    ) -> PlannedCourse | None:
+        """Return a course, if it is another one than before.
 
         Args:
             engaged: Groups under control.
@@ -71,35 +74,26 @@ class Courses:
         groups = [group for group in engaged if self._follows(group)]
         if not groups:
             self._plan, self._end = [], None
-            return None, []
-        findings, planners = [], []
-        plan: list[object] = []
-        for group in groups:
-            try:
-                plan += group.planner.plan
-                planners.append((group.place, group.planner))
-            except StateError as error:
-                why = f"group '{group.name}': the robot's trajectory controller cannot follow: {error.message}"
-                fault = ImError(why, code="course", group=group.name)
-                findings.append(SafetyFinding(Reaction.END, fault, (group.name,)))
-        if findings or (len(plan) == len(self._plan) and all(a is b for a, b in zip(plan, self._plan, strict=True))):
-            return None, findings
+            return None
+        plan = [part for group in groups for part in group.planner.plan]
+        if len(plan) == len(self._plan) and all(a is b for a, b in zip(plan, self._plan, strict=True)):
+            return None
         self._plan = plan
-        left_s = max(planner.left_s for _, planner in planners)
+        left_s = max(group.planner.left_s for group in groups)
         if left_s == 0.0 and (self._end is None or np.abs(command - self._end).max() < _SAME):
-            return None, []
+            return None
         step_s = max(_STEP_S, left_s / _MOST_POINTS)
         times = np.append(np.arange(step_s, left_s - step_s / 2.0, step_s), max(left_s, _STEP_S))
         q = np.tile(command, (len(times), 1))
         v = np.zeros_like(q)
-        for place, planner in planners:
-            states = planner.course(times)
-            q[:, place], v[:, place] = states.q, states.v
+        for group in groups:
+            states = group.planner.course(times)
+            q[:, group.place], v[:, group.place] = states.q, states.v
         v[-1] = 0.0
         self._end = q[-1]
         if speed == 0.0:  # later on, the robot takes its time to where the setpoints have braked to
-            return PlannedCourse(times + _CATCH_UP_S, q, v), []
-        return PlannedCourse(times * speed, q, v / speed), []
+            return PlannedCourse(times + _CATCH_UP_S, q, v)
+        return PlannedCourse(times * speed, q, v / speed)
 
     def _follows(self, group: ControlledGroup) -> bool:
         return bool(self._followed.intersection(group.index.tolist()))

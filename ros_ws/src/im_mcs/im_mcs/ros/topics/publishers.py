@@ -24,8 +24,6 @@ from im_mcs.collision.bodies import faces_of
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.ros import messages
-from im_mcs.state import State
-from im_mcs.testbed.driver import PowerReading
 from im_msgs.msg import McsState
 
 
@@ -61,11 +59,9 @@ class Publishers:
             markers = [_hull(rank, hull, cell.color_of(hull.link)) for rank, hull in enumerate(cell.hulls)]
             self._hulls.publish(MarkerArray(markers=markers))
 
-    def state(
-        self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
-    ) -> None:
-        """Publish ``/mcs/state``; arguments as of :func:`im_mcs.ros.messages.mcs_state`."""
-        self._state.publish(messages.mcs_state(config, state, reason, snapshot, past))
+    def state(self, state: McsState) -> None:
+        """Publish ``/mcs/state``."""
+        self._state.publish(state)
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
         """Publish ``/joint_states``, ``/dynamic_joint_states`` and ``/tf`` of every sample, for subscribers only."""
