@@ -193,7 +193,7 @@ class VendorRobot(GuardedNode):
 
     def step(self) -> None:
         """Move for the time that has passed, and tell where the joints are."""
-        now = clock.monotonic()
+        now, stamp = clock.monotonic(), self.get_clock().now().to_msg()
         dt, self.last = now - self.last, now
         if self.active is not None:
             self.active.begin += dt * (1.0 - self.scaling)
@@ -206,7 +206,7 @@ class VendorRobot(GuardedNode):
             self.q[-1] += RUN_AWAY * dt
         if self.random.random() >= self.lost:
             message = JointState(name=self.joints[::-1], position=self.q[::-1].tolist())
-            message.header.stamp = self.get_clock().now().to_msg()
+            message.header.stamp = stamp
             self.held.append(message)
         if now % 1.0 >= self.stall:
             for message in self.held:
