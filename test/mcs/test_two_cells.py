@@ -227,7 +227,7 @@ def test_protective_stop_is_named_logged_and_resumed(ready):
     assert answer.success, answer.message
     ready.until(lambda: ready.states[-1].protective_stop)
     assert "request on /mcs/protective_stop" in ready.states[-1].protective_stop
-    sentence = f"group '{ready.group}': protective stop: request on /mcs/protective_stop"
+    sentence = f"group '{ready.group}' decelerates and holds: protective stop: request on /mcs/protective_stop"
     ready.until(lambda: [entry for entry in log if entry.msg.startswith(sentence)])
     assert ready.state() == "motion"
     answer = ready.call(GroupCommand, "resume")

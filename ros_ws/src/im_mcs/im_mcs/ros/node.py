@@ -142,7 +142,7 @@ class McsNode(ManagedNode):
     def _log_protective_stops(self, causes: dict[str, str]) -> None:
         for group, cause in causes.items():
             if cause and cause != self._protective_stops.get(group):
-                self.get_logger().warning(f"group '{group}': protective stop: {cause}")
+                self.get_logger().warning(f"group '{group}' decelerates and holds: {cause}")
         self._protective_stops = causes
 
     def _publish_diagnostics(self) -> None:
