@@ -89,6 +89,24 @@ def test_a_description_that_makes_no_sense_leads_no_request_anywhere(tmp_path, r
     assert in_loop(asker, asker._transport.node_of, "feeder") == "feeder"
 
 
+def test_a_net_that_no_own_net_asks_is_read_when_a_net_is_loaded_and_not_before(tmp_path, ros, wait_until):
+    asker, teller = ros(make_asker(tmp_path)), ros(Teller("teller"))
+    wait_until(lambda: asker.ready, "the node")
+    teller.tell("stranger", "no net")
+    teller.tell("feeder", FEEDER)
+    wait_until(lambda: len(in_loop(asker, asker.net_with_servers, "asker")) == 2, "the net that is asked")
+    assert not asker.failures.counts
+    loaded = []
+
+    async def load():
+        await asker.load_net(parse_net(IDLE.replace("NAME", "idle")))
+        loaded.append(True)
+
+    asker.spawn(load())
+    wait_until(lambda: loaded, "the net")
+    assert "/teller:1:1: 'no net' is not a mapping" in asker.failures.last
+
+
 def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_until, monkeypatch):
     monkeypatch.setattr("im_pnt_node.ros.execution.transport.MOST_NETS", 2)
     asker, teller = ros(make_asker(tmp_path)), ros(Teller("teller"))

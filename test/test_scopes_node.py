@@ -187,14 +187,15 @@ def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast,
     for name in ("notes", "diary"):
         cast.put(name)
     node = cast.node("keeper", {}, {"never": lambda ctx: False})
+    told = cast.planner._library._unread
     with spin_in_thread(node):
-        wait_until(lambda: node.begun and "keeper" in cast.planner._library._known, "the net to be described")
+        wait_until(lambda: node.begun and ("keeper", "/keeper") in told, "the net to be described")
         node.spawn(node.dom.put("notes", String(), "keeper.there"))
         wait_until(lambda: in_loop(cast.dom, cast.dom.store.record, "notes").place, "the object")
         node.spawn(node.loader.unload("keeper"))
         wait_until(lambda: not in_loop(cast.dom, cast.dom.store.record, "notes").valid, "the object to be invalid")
         assert in_loop(cast.dom, cast.dom.store.record, "diary").valid
-        wait_until(lambda: "keeper" not in cast.planner._library._known, "other nodes to reckon with it no more")
+        wait_until(lambda: ("keeper", "/keeper") not in told, "other nodes to reckon with it no more")
         in_loop(cast.dom, cast.dom.store.put, "notes", "std_msgs/msg/String", b"", "keeper.there", "test", 0)
         for file in run_dir().glob("dom.sqlite*"):
             shutil.copy(file, tmp_path)

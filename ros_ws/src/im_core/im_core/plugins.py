@@ -75,10 +75,16 @@ def extensions(group: str, name: str | None = None) -> Iterator[Callable[..., An
 
 @cache
 def _entries(group: str) -> Sequence[Any]:
-    """Return the entry points of a group by name: hundreds of files tell them, and each net that is read asks."""
+    """Return the entry points of a group by name: each net that is read asks."""
+    return sorted(all_entries().select(group=group), key=lambda entry: entry.name)
+
+
+@cache
+def all_entries() -> Any:
+    """Return the entry points of all groups, read once: hundreds of files tell them."""
     from importlib.metadata import entry_points  # takes longer than many a command, most of which need none
 
-    return sorted(entry_points(group=group), key=lambda entry: entry.name)
+    return entry_points()
 
 
 def make(reference: str, what: str, *arguments: object) -> object:

@@ -64,7 +64,7 @@ def test_a_value_that_passes_no_guard_is_named_with_place_and_lines():
 )
 def test_guards_that_leave_no_value_out_are_decided(guards, arguments):
     net = net_with(*guards, arguments=arguments)
-    assert decide_guards(net) == {"end_0", "end_1"}
+    assert decide_guards(net).decided == {"end_0", "end_1"}
     report = verify_to_load([net])
     assert report.ok
     assert not [text for text in report.assumptions if "becomes true" in text]
@@ -93,7 +93,7 @@ ASKS = """
 
 def test_an_answer_that_may_be_missing_is_a_value_too():
     guards = ["${answers.pick.size < 3}", "${answers.pick.size >= 3}"]
-    assert decide_guards(net_with(*guards, before=ASKS.replace("FAILED", "idle")))
+    assert decide_guards(net_with(*guards, before=ASKS.replace("FAILED", "idle"))).decided
     assert "with no answer of pick nothing fires" in refusal(*guards, before=ASKS.replace("FAILED", "chosen"))
     codes = ["${failure.code == 'lost'}", "${failure.code == ''}"]
     assert "with failure.code = another text nothing" in refusal(*codes, before=ASKS.replace("FAILED", "chosen"))
@@ -105,7 +105,7 @@ def test_a_number_of_unknown_type_is_refused_only_where_whole_numbers_are_left_o
 
     with pytest.raises(NetError, match=r"answers\.pick\.size = 3"):
         decide_guards(asked("${answers.pick.size < 3}", "${answers.pick.size > 3}"))
-    assert decide_guards(asked("${answers.pick.size <= 2}", "${answers.pick.size >= 3}")) == frozenset()
+    assert decide_guards(asked("${answers.pick.size <= 2}", "${answers.pick.size >= 3}")).decided == frozenset()
 
 
 def test_guards_passed_on_the_way_count():
@@ -115,7 +115,10 @@ def test_guards_passed_on_the_way_count():
   large: {in: seen, out: idle, guard: "not ${arguments.x < 3}", emit: pick_done}
 """
     others = {"before": first, "places": "seen: "}
-    assert len(decide_guards(net_with("${arguments.x < 1}", "${arguments.x >= 1 and arguments.x < 5}", **others))) == 4
+    assert (
+        len(decide_guards(net_with("${arguments.x < 1}", "${arguments.x >= 1 and arguments.x < 5}", **others)).decided)
+        == 4
+    )
     values = refusal("${arguments.x < 1}", "${arguments.x > 2}", **others)
     assert "nothing fires at 'chosen'" in values
 
@@ -124,7 +127,7 @@ def test_what_may_change_is_waited_for_and_assumed():
     place = "level: {data_object: {name: level, type: std_msgs/msg/Float64}}"
     wait = ["${data.level.data > 3}", "${data.level.data < 3}"]
     net = net_with(*wait, places=place)
-    assert decide_guards(net) == frozenset()
+    assert decide_guards(net).decided == frozenset()
     said = readable(verify_to_load([net]), {}).splitlines()[1]
     assert said.startswith("  not looked at whether each of the guards '${data.level.data > 3}' (end_0), ")
     assert said.endswith(" becomes true (task): nothing else takes the tokens meanwhile")
@@ -143,7 +146,7 @@ def test_a_token_that_leaves_with_its_object_may_wait_for_that():
     places = "seen: {data_object: map, on_invalid: [chosen]}"
     guarded = "  go: {in: seen, out: idle, guard: '${arguments.x < 3}', emit: pick_done}"
     net = net_with(before=f"{first}\n{guarded}", places=places)
-    assert decide_guards(net) == frozenset()
+    assert decide_guards(net).decided == frozenset()
 
 
 def test_the_guards_of_a_net_are_decided_once(monkeypatch):
@@ -158,9 +161,9 @@ def test_the_guards_of_a_net_are_decided_once(monkeypatch):
 
 
 def test_a_function_of_python_may_say_anything_and_its_negation_the_opposite():
-    assert decide_guards(net_with("is_ready", "not is_ready")) == {"end_0", "end_1"}
-    assert decide_guards(net_with("is_ready", "${arguments.x < 3}")) == frozenset()
-    assert decide_guards(net_with("is_ready", "otherwise")) == {"end_0", "end_1"}
+    assert decide_guards(net_with("is_ready", "not is_ready")).decided == {"end_0", "end_1"}
+    assert decide_guards(net_with("is_ready", "${arguments.x < 3}")).decided == frozenset()
+    assert decide_guards(net_with("is_ready", "otherwise")).decided == {"end_0", "end_1"}
 
 
 def test_otherwise_against_a_function_of_python_says_nothing_of_later_places():
@@ -168,9 +171,9 @@ def test_otherwise_against_a_function_of_python_says_nothing_of_later_places():
   ready: {in: seen, out: idle, guard: is_ready, emit: pick_done}
   small: {in: seen, out: idle, guard: '${arguments.x < 3}', emit: pick_done}
   wait: {in: seen, out: chosen, guard: otherwise}"""
-    assert "end_0" not in decide_guards(net_with("not is_ready", before=first, places="seen: "))
+    assert "end_0" not in decide_guards(net_with("not is_ready", before=first, places="seen: ")).decided
     small = first.replace("is_ready", "'${arguments.x > 5}'")
-    assert "end_0" in decide_guards(net_with("${arguments.x >= 3}", before=small, places="seen: "))
+    assert "end_0" in decide_guards(net_with("${arguments.x >= 3}", before=small, places="seen: ")).decided
 
 
 def test_otherwise_needs_guards_to_stand_against():
@@ -210,7 +213,7 @@ def test_the_decision_is_that_of_trying_all_values(conditions):
         arguments="{x: {type: integer, minimum: -2, maximum: 5}}",
     )
     if not left_out:
-        assert decide_guards(net) == set(net.transitions) - {"pick"}
+        assert decide_guards(net).decided == set(net.transitions) - {"pick"}
         return
     with pytest.raises(NetError) as refused:
         decide_guards(net)

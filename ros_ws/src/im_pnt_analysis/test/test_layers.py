@@ -8,10 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_pnt.netfile import load_net, parse_net
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.layers import comes_to_rest, parts
 from im_pnt_analysis.verify.load import verify_to_load
 from im_pnt_analysis.verify.verdict import verify
 
+LIMITS = SearchLimits()
 DOCS = Path(__file__).parents[4] / "docs/nets"
 
 LOCK = """
@@ -42,7 +44,7 @@ def names(divided):
 
 def test_nets_that_ask_in_a_circle_stay_together():
     nets = [load_net(DOCS / f"circular_wait_{name}.yaml") for name in ("arm", "camera")]
-    assert names(parts(nets)) == [["circular_wait_arm", "circular_wait_camera"]]
+    assert names(parts(nets, LIMITS)) == [["circular_wait_arm", "circular_wait_camera"]]
     assert verify_to_load(nets).refusals
 
 
@@ -52,15 +54,15 @@ def test_locks_that_others_give_back_stay_with_their_users_and_their_deadlock_is
         parse_net(USER.format(name=name, first=first, second=second))
         for name, first, second in (("a", "left", "right"), ("b", "right", "left"))
     ]
-    assert not comes_to_rest(locks[0])
-    assert names(parts([*locks, *users])) == [["left", "right", "a", "b"]]
+    assert not comes_to_rest(locks[0], LIMITS)
+    assert names(parts([*locks, *users], LIMITS)) == [["left", "right", "a", "b"]]
     assert verify_to_load([*locks, *users]).refusals
 
 
 def test_who_sends_tokens_stays_with_who_gets_them():
     sender = parse_net("net: s\nplaces: {idle: 1}\ntransitions: {go: {symbol: go, in: idle, out: [idle, r.in]}}")
     getter = parse_net("net: r\nplaces: {in: {remote: true}}\ntransitions: {eat: {in: in}}")
-    assert names(parts([sender, getter])) == [["s", "r"]]
+    assert names(parts([sender, getter], LIMITS)) == [["s", "r"]]
 
 
 def test_a_symbol_that_is_read_away_from_rest_only_keeps_nets_together():
@@ -82,14 +84,14 @@ transitions:
   tell: {in: failed, out: idle, emit: go_failed}
 """
     )
-    assert names(parts([client, server])) == [["client", "server"]]
+    assert names(parts([client, server], LIMITS)) == [["client", "server"]]
 
 
 @pytest.mark.parametrize("service", ["by service", "by symbol"])
 def test_who_asks_what_is_always_answered_is_verified_alone(service):
     server = SERVERS[service]
     client = parse_net(CLIENT)
-    assert names(parts([client, parse_net(server)])) == [["client"], ["server"]]
+    assert names(parts([client, parse_net(server)], LIMITS)) == [["client"], ["server"]]
     report = verify_to_load([client, parse_net(server)])
     report.require_ok()
     assert report.nets == ["client", "server"]
@@ -149,7 +151,7 @@ def some_nets(dice):
 @given(st.integers(0, 2**32))
 def test_the_verdict_on_parts_is_that_on_the_whole(seed):
     nets = some_nets(random.Random(seed))
-    divided = parts(nets)
+    divided = parts(nets, LIMITS)
     if all(verify(part).ok for part in divided):
         assert verify(nets).ok
 
@@ -175,7 +177,7 @@ def test_a_tape_whose_reader_says_nothing_is_found_with_those_who_write_to_it():
     )
     text = "net: reader\nplaces: {free: 1}\ntransitions: {read: {symbol: serve, in: free, out: free%s}}"
     telling, silent = parse_net(text % ", emit: serve_done"), parse_net(text % "")
-    assert names(parts([caller, silent])) == [["caller"], ["reader"]]
+    assert names(parts([caller, silent], LIMITS)) == [["caller"], ["reader"]]
     assert verify_to_load([caller, telling]).ok
     assert verify_to_load([silent]).ok
     report = verify_to_load([caller, silent])

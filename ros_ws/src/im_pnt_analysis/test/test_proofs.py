@@ -1,5 +1,6 @@
 """What was proved is not proved again while it is unchanged; and a cache that is no good is none."""
 
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -12,8 +13,9 @@ from im_pnt.netfile import parse_net, yaml_text
 from im_pnt.verification import accept
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED
+from im_pnt_analysis.guards.coverage import GuardCoverage
 from im_pnt_analysis.search.limits import SearchLimits
-from im_pnt_analysis.verify import proofs
+from im_pnt_analysis.verify import proofs, verdict
 from im_pnt_analysis.verify.load import verify_to_load, verify_to_start
 
 NOTHING = SearchLimits(states=1, seconds=0.0)
@@ -61,6 +63,42 @@ def test_what_is_changed_or_proved_by_other_means_is_proved_anew(monkeypatch):
     assert not verify_to_load([parse_net(yaml_text(ring()).replace("60", "61")), LOOP]).proved_before
     monkeypatch.setattr(proofs, "_prover", lambda: "another version")
     assert not verify_to_load([ring(), LOOP]).proved_before
+
+
+MAID = """
+net: maid
+places: {asked: , seen: , done: , failed: , tool: {tokens: 1, resource: true}}
+services: {work: {entry: asked, done: done, failed: failed, arguments: {x: {type: number}}}}
+transitions:
+  begin: {in: [asked, tool], out: seen}
+  small: {in: seen, out: [done, tool], guard: "${arguments.x < 3}"}
+  large: {in: seen, out: [failed, tool], guard: "${arguments.x >= 3}"}
+"""
+CALLER = """
+net: caller
+places: {idle: 1}
+transitions: {ask: {symbol: go, in: idle, out: idle, request: maid.work, on_failure: idle, guard: "${arguments.x > 0}"}}
+commands: {go: {arguments: {x: {type: number}}}}
+"""
+
+
+def test_nets_that_were_proved_alone_are_neither_searched_nor_decided_again_together(cache, monkeypatch):
+    def nets():
+        return [parse_net(MAID), parse_net(CALLER)]
+
+    *_, unaided = verify_to_start(nets())
+    shutil.rmtree(cache)
+    for net in nets():
+        verify_to_load([net]).require_ok()
+
+    def repeated(*_, **__):
+        raise AssertionError("this was found out before")
+
+    monkeypatch.setattr(GuardCoverage, "check", repeated)
+    monkeypatch.setattr(verdict, "Search", repeated)
+    *_, together = verify_to_start(nets())
+    assert (together.nets, together.ok, together.proved_before) == (["maid", "caller"], True, False)
+    assert (together.states, together.assumptions) == (unaided.states, unaided.assumptions)
 
 
 def test_a_refusal_is_no_proof_and_is_found_again():

@@ -22,7 +22,7 @@ from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.signed_link import read_secret
 from im_cell.robot import load_cell
-from im_core import clock, names
+from im_core import clock, names, plugins
 from im_core.errors import ConfigError, ImError
 from im_core.processes import scheduling
 from im_core.processes.process import prepare
@@ -30,9 +30,11 @@ from im_core.processes.procfs import ProcessId
 
 #: What several processes load, beside what this one needs itself; of ROS its messages, which are plain Python.
 COMMON = (
-    *("im_cell.link", "im_cell.robot.truth", "pinocchio", "im_calibration", "im_pnt_analysis.cli.verify"),
-    *("action_msgs.srv", "diagnostic_msgs.msg", "geometry_msgs.msg", "rcl_interfaces.srv", "sensor_msgs.msg"),
-    *("std_msgs.msg", "std_srvs.srv", "type_description_interfaces.srv", "im_msgs.msg", "im_msgs.srv"),
+    *("im_cell.link", "im_cell.robot.truth", "pinocchio", "im_calibration", "im_mcs", "im_pnt_analysis.cli.verify"),
+    *("im_pnt_node.journal.journal", "im_pnt_node.distributed.exchange", "im_pnt_node.ros.messages"),
+    *("action_msgs.msg", "action_msgs.srv", "diagnostic_msgs.msg", "geometry_msgs.msg", "rcl_interfaces.msg"),
+    *("rcl_interfaces.srv", "rosgraph_msgs.msg", "sensor_msgs.msg", "std_msgs.msg", "std_srvs.srv", "tf2_msgs.msg"),
+    *("trajectory_msgs.msg", "type_description_interfaces.srv", "im_msgs.action", "im_msgs.msg", "im_msgs.srv"),
     *("concurrent.futures.thread", "logging"),
 )
 
@@ -73,6 +75,7 @@ def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     scheduling.keep_off()
     for module in COMMON:
         import_module(module)
+    plugins.all_entries()
     with suppress(ConfigError):  # whoever needs it says what is wrong with it
         load_cell()
     prepare(PROVER)

@@ -3,9 +3,8 @@
 import sys
 
 from im_coordinators.motion import require_working
-from im_coordinators.ros.coordinator import Coordinator
+from im_coordinators.ros.coordinator import MCS_STATE, Coordinator
 from im_coordinators.ros.establishment import Establishment
-from im_coordinators.ros.motion import MCS_STATE, follow_mcs
 from im_core.ros import run
 from im_msgs.msg import McsState
 from im_pnt.execution.functions import ActionContext, Functions
@@ -17,7 +16,7 @@ class GripperCoordinator(Coordinator):
 
     def __init__(self) -> None:
         super().__init__("gripper_coordinator", gripper_functions)
-        follow_mcs(self)
+        self.follow_mcs()
 
 
 def gripper_functions(host: Host) -> Functions:

@@ -9,7 +9,6 @@ from im_coordinators.motion import (
     DESTINATIONS,
     HOLDING_STATES,
     POWERED_STATES,
-    check_told,
     depends_on_here,
     end_noted,
     note_end,
@@ -19,18 +18,17 @@ from im_coordinators.motion import (
     take_path,
     way_asked,
 )
-from im_coordinators.ros.coordinator import Coordinator
+from im_coordinators.ros.coordinator import MCS_STATE, Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.ros.path_planning import STATE, placement_of, wrist_pose
 from im_coordinators.tool import DETAILS, ToolTarget, WristPlacement, require_planned
-from im_core.ros import qos, run
+from im_core.ros import run
 from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
 
-MCS_STATE = "/mcs/state"
 of_mcs = woken_by(f"topic:{MCS_STATE}")
 
 
@@ -40,12 +38,7 @@ class MotionCoordinator(Coordinator):
     def __init__(self) -> None:
         super().__init__("motion_coordinator", motion_functions)
         self.host.prepare(GetGroupState, STATE)
-        follow_mcs(self)
-
-
-def follow_mcs(coordinator: Coordinator) -> None:
-    """Follow the states told by MCS."""
-    coordinator.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
+        self.follow_mcs()
 
 
 def motion_functions(host: Host) -> Functions:

@@ -31,7 +31,7 @@ from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
-from im_pnt_analysis.guards.coverage import decide_guards, granted_values
+from im_pnt_analysis.guards.coverage import GuardDecisions, decide_guards
 
 _BOUNDED = ("constant", "uniform", "triangular")
 """Delays of which not every one may be over before every other one."""
@@ -92,9 +92,8 @@ def compose(nets: Sequence[Net]) -> Composition:
         raise NetError("there is no net to analyse")
     by_name = {name: expand(net) for name, net in nets_by_name(nets).items()}
     check_arguments(nets)
-    decided = {net.name: decide_guards(net) for net in nets}
     flat = FlatNet(by_name)
-    composer = _Composer(flat, decided, {net.name: granted_values(net) for net in nets})
+    composer = _Composer(flat, {net.name: decide_guards(net) for net in nets})
     for net in by_name.values():
         composer.add(net)
     composer.close()
@@ -119,10 +118,8 @@ def compose(nets: Sequence[Net]) -> Composition:
 
 
 class _Composer:
-    def __init__(
-        self, flat: FlatNet, decided: Mapping[str, frozenset[str]], granted: Mapping[str, frozenset[str]]
-    ) -> None:
-        self.flat, self.decided, self.granted = flat, decided, granted
+    def __init__(self, flat: FlatNet, decisions: Mapping[str, GuardDecisions]) -> None:
+        self.flat, self.decisions = flat, decisions
         self.assumed = Assumptions(flat)
         self.calls = ServiceCalls(flat, self.assumed.promises)
         self.disturbances: set[str] = set()
@@ -208,22 +205,22 @@ class _Composer:
         busy = {place: 1 for place in flat.places if place not in flat.rest}
         for transition in arrivals:
             flat.add_environment(replace(transition, inhibitors=busy))
-        for text in assumptions(list(flat.nets.values()), self.decided):
+        for text in assumptions(list(flat.nets.values()), self.decisions):
             flat.assume(text)
-        for name, values in self.granted.items():
-            if values:
+        for name, decisions in self.decisions.items():
+            if values := decisions.granted:
                 told = "without one a guard counts as false"
                 flat.assume(f"{NOT_LOOKED_AT}whether each command brings {', '.join(sorted(values))} ({name}): {told}")
         if any(INPUT_SEMAPHORE in net.places for net in flat.nets.values()):
             flat.assume("requests of different callers are served in any order")
 
 
-def assumptions(nets: Sequence[Net], decided: Mapping[str, frozenset[str]]) -> Iterator[str]:
+def assumptions(nets: Sequence[Net], decisions: Mapping[str, GuardDecisions]) -> Iterator[str]:
     """Return the assumptions.
 
     Args:
         nets: The nets, expanded.
-        decided: By net the transitions whose guards leave no value out.
+        decisions: By net those about its guards.
     """
     if guarded := _names(net for net in nets if net.guards()):
         yield (
@@ -231,7 +228,7 @@ def assumptions(nets: Sequence[Net], decided: Mapping[str, frozenset[str]]) -> I
             "and the return of resources hold unless a guard stays as it is for ever"
         )
     for net in nets:
-        yield from open_guards(net, decided[net.name])
+        yield from open_guards(net, decisions[net.name].decided)
     if reading := _names(net for net in nets if net.symbols()):
         yield (
             f"tapes ({reading}) are free, any symbol may come at any time: bounds and safety hold for every tape; "

@@ -3,7 +3,7 @@
 import threading
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations, product
 from typing import Any
@@ -15,6 +15,7 @@ from im_pnt.expression.scope import NetScope
 from im_pnt.expression.template import nodes, references
 from im_pnt.expression.types import ANY, NoTypes, ValueType, installed_types
 from im_pnt.model.net import Guard, Net, ObjectScope, Place, Role, Transition
+from im_pnt.model.resources import resource_places
 from im_pnt_analysis.guards.command_markings import CommandMarkings, may_never_fire
 from im_pnt_analysis.guards.formula import Formulas, ValueKnowledge
 from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways
@@ -31,28 +32,39 @@ _NETS = 64
 _one_at_a_time = threading.Lock()  # z3 has one context
 
 
-def decide_guards(net: Net) -> frozenset[str]:
-    """Decide the guards of a net.
+@dataclass(frozen=True, slots=True)
+class GuardDecisions:
+    """Decisions about the guards of a net.
+
+    Attributes:
+        decided: Transitions whose guards are proved to leave no value out, with the others at their places.
+        choices: Transitions of which exactly one guard holds for each value, but that do not need the same beside the
+            tokens of the command.
+        never: Transitions whose guards hold for no value that their tokens can have.
+        granted: Values that are taken to be there: arguments of a command that declares none, and fields of objects.
+    """
+
+    decided: frozenset[str] = frozenset()
+    choices: tuple[tuple[str, ...], ...] = ()
+    never: frozenset[str] = frozenset()
+    granted: frozenset[str] = frozenset()
+
+
+def decide_guards(net: Net) -> GuardDecisions:
+    """Decide the guards of a net, once for each net object.
 
     Args:
         net: The net; one that is expanded was decided as written.
 
-    Returns:
-        Transitions whose guards are proved to leave no value out, with the others at their places.
-
     Raises:
         NetError: For some value no guard of a place holds; names the value, the place, and the lines.
     """
-    return frozenset(_decided(_SameNet(net)).decided)
+    return _decided(_SameNet(net))
 
 
-def granted_values(net: Net) -> frozenset[str]:
-    """Return the values that the decision of a net's guards takes to be there, though no declaration says so.
-
-    Args:
-        net: As of :func:`decide_guards`.
-    """
-    return frozenset(_decided(_SameNet(net)).granted)
+def recall_decisions(net: Net, known: GuardDecisions) -> None:
+    """Have :func:`decide_guards` return the decisions of an earlier proof of a net."""
+    _decided(_SameNet(net, known))
 
 
 def settled_choices(net: Net) -> Net:
@@ -65,16 +77,16 @@ def settled_choices(net: Net) -> Net:
     Args:
         net: As of :func:`decide_guards`.
     """
-    coverage = _decided(_SameNet(net))
+    decisions, resources = decide_guards(net), resource_places(net)
     places, transitions = dict(net.places), dict(net.transitions)
     waiting: dict[str, dict[str, int]] = {}
-    for name in coverage.never:
+    for name in decisions.never:
         places[f"{name}.never"] = Place(f"{name}.never")
         inputs = {**net.transitions[name].inputs, f"{name}.never": 1}
         transitions[name] = replace(net.transitions[name], inputs=inputs)
-    for name in (name for names in coverage.choices for name in names):
+    for name in (name for names in decisions.choices for name in names):
         taker, way = transitions[name], f"{name}.chosen"
-        needs = {place: weight for place, weight in taker.inputs.items() if place in coverage.resources}
+        needs = {place: weight for place, weight in taker.inputs.items() if place in resources}
         work = {place: weight for place, weight in taker.inputs.items() if place not in needs}
         for place in work:
             waiting.setdefault(place, {})[way] = 1
@@ -119,10 +131,10 @@ def _type_at(path: tuple[str, ...], scope: Meanings) -> ValueType:
 
 
 class _SameNet:
-    """Key of one net object: nets, which hold dictionaries, have no hash."""
+    """Key of one net object, perhaps with known decisions: nets, which hold dictionaries, have no hash."""
 
-    def __init__(self, net: Net) -> None:
-        self.net = net
+    def __init__(self, net: Net, known: GuardDecisions | None = None) -> None:
+        self.net, self.known = net, known
 
     def __hash__(self) -> int:
         return id(self.net)
@@ -132,12 +144,16 @@ class _SameNet:
 
 
 @lru_cache(maxsize=_NETS)
-def _decided(key: _SameNet) -> "GuardCoverage":
+def _decided(key: _SameNet) -> GuardDecisions:
     net = key.net
+    if key.known is not None:
+        return key.known
+    if not net.guards() or any(transition.role is not Role.PLAIN for transition in net.transitions.values()):
+        return GuardDecisions()
     coverage = GuardCoverage(net)
-    if all(transition.role is Role.PLAIN for transition in net.transitions.values()) and net.guards():
-        coverage.check()
-    return coverage
+    coverage.check()
+    never, granted = frozenset(coverage.never), frozenset(coverage.granted)
+    return GuardDecisions(frozenset(coverage.decided), tuple(coverage.choices), never, granted)
 
 
 class GuardCoverage:
@@ -148,12 +164,8 @@ class GuardCoverage:
     change, so a guard over them is a wait, and an assumption of the proof.
 
     Attributes:
-        decided: Transitions whose guards are proved to leave no value out, with the others at their places.
         resources: Places whose tokens belong to nobody.
-        choices: Transitions of which exactly one guard holds for each value, but that do not need the same beside the
-            tokens of the command.
-        never: Transitions whose guards hold for no value that their tokens can have.
-        granted: Values that are taken to be there: arguments of a command that declares none, and fields of objects.
+        decided, choices, never, granted: As of :class:`GuardDecisions`, once :meth:`check` has decided.
     """
 
     def __init__(self, net: Net) -> None:
@@ -167,6 +179,7 @@ class GuardCoverage:
         self._knowledge = Knowledge(net, self._scope, self._stored)
         self._bounds = {path: found for name in self._stored for path, found in stored_bounds(net, name).items()}
         self.resources = self._knowledge.resources
+        self._asked: dict[object, bool] = {}
         self.choices: list[tuple[str, ...]] = []
         self.never: set[str] = set()
         self.decided: set[str] = set()
@@ -293,6 +306,16 @@ class GuardCoverage:
         return possible
 
     def _covers(self, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
+        """Return whether one of some guards holds for each value; asked once for the same guards and knowledge."""
+        guards = tuple(each.guard for each in guarded if each.guard is not None)
+        facts = tuple(_relevant(known.facts | known.stored, guarded))
+        answered = known.answered & {name for each in (*guards, *facts) for way in named(each) for name in way[1:2]}
+        question = kind, self._scope.works_for(guarded[0]), guards, facts, answered
+        if question not in self._asked:
+            self._asked[question] = self._answer(kind, guarded, known)
+        return self._asked[question]
+
+    def _answer(self, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
         with _one_at_a_time:
             values = self._left_out(guarded, known, self._given(kind, guarded, known))
         if values:

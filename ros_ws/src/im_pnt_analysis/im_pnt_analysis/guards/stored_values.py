@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 from im_core.errors import ImError
 from im_pnt.expression.inference import Meanings, infer
@@ -105,6 +106,7 @@ def _stays(value: Node, transition: Transition, stable: frozenset[str]) -> bool:
     )
 
 
+@lru_cache(maxsize=4096)
 def named(guard: Guard) -> frozenset[Way]:
     """Return the names in the expressions of a guard: roots, and what follows."""
     return frozenset(path for each in (guard, *guard.unless) for node in nodes(each.name) for path in references(node))

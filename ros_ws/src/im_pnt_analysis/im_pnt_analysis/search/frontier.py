@@ -61,7 +61,9 @@ def expand(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -> Non
         found.reserve(found.count + len(fresh))
         found.words[:, found.count : found.count + len(fresh)] = words
         for word, change in zip(found.words, packing.change, strict=True):
-            if not np.array_equal(word[targets], word[sources] + change[rows]):
+            made = (word[sources] + change[rows])[order]
+            alike = (made[1:] == made[:-1]) | new_key[1:]
+            if not alike.all() or not np.array_equal(word[numbers], made[firsts]):
                 raise CollisionError
     found.append(words, unique[fresh], parents.astype(np.int32), by.astype(np.int32))
     degrees = np.bincount(sources - begin, minlength=end - begin).astype(np.int32)

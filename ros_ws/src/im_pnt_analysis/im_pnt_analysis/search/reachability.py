@@ -9,7 +9,7 @@ from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.packing import TooManyTokensError
 from im_pnt_analysis.search.state_space import CollisionError, StateSpace
 
-_TESTS_AT_ONCE = 1 << 18
+_TESTS_AT_ONCE = 1 << 20
 
 
 class Search:

@@ -4,8 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, islice
 
+import numpy as np
+
 from im_core.clock import thread_cpu
 from im_pnt.execution.jobs import DONE_SUFFIX
+from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
 from im_pnt.verification import Counterexample
 from im_pnt_analysis.composition.resource_proof import UndecidedError, unheld
@@ -16,7 +19,7 @@ from im_pnt_analysis.search.stubborn import find_deadlock
 from im_pnt_analysis.structure.semiflows import p_semiflows, t_semiflows
 from im_pnt_analysis.symbolic.exploration import SymbolicAnswers, explore
 from im_pnt_analysis.verify import counterexamples
-from im_pnt_analysis.verify.problem import Problem, stopping, without_marks, without_stop
+from im_pnt_analysis.verify.problem import DOES, Problem, stopping, without_marks, without_stop
 from im_pnt_analysis.verify.report import NOTHING_ACTS, Report
 
 
@@ -174,6 +177,25 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         if thread_cpu() > deadline:
             break
     report.answer(_COMPONENTS, resources_return=not report.refusals)
+
+
+def answer_rest(report: Report, problem: Problem, search: Search) -> None:
+    """Answer whether a net is back in the first marking whenever it does nothing by itself.
+
+    Args:
+        report: Gets the answer.
+        problem: One net.
+        search: Finished.
+    """
+    found, own = search.found, expand(problem.nets[0]).places
+    quiet = found.words[:, np.flatnonzero((found.kinds[: found.count] & DOES) == 0)]
+    rests = True
+    for index, place in enumerate(problem.compiled.places):
+        if rests and place in own:
+            tokens = problem.initial[index]
+            rests = not found.packing.holds(quiet, index, tokens + 1).any()
+            rests = rests and (not tokens or bool(found.packing.holds(quiet, index, tokens).all()))
+    report.answer(EXPLICIT, comes_to_rest=rests)
 
 
 _BEYOND = "a place that a transition empties exceeds its capacity, beyond which nothing is looked at"

@@ -9,24 +9,17 @@ assumes something, for they are counted together.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
-import numpy as np
-
-from im_core.clock import thread_cpu
 from im_pnt.errors import NetError
 from im_pnt.model.action import RequestAction
-from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.limits import SearchLimits
-from im_pnt_analysis.search.packing import TooManyTokensError
-from im_pnt_analysis.search.reachability import Search
-from im_pnt_analysis.verify.problem import problem_of
-
-LIMITS = SearchLimits(states=500_000, seconds=5.0)
-"""Where it is given up to show that a net comes to rest by itself."""
+from im_pnt_analysis.verify.proofs import kept
+from im_pnt_analysis.verify.verdict import verify
 
 
-def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]:
+def parts(nets: Sequence[Net], limits: SearchLimits) -> list[list[Net]]:
     """Divide communicating nets into parts to verify together.
 
     Args:
@@ -36,7 +29,11 @@ def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]
     by_name = {net.name: net for net in nets}
     asked = {net.name: _asked(net) & by_name.keys() for net in nets}
     reach = {name: _reach(name, asked) for name in by_name}
-    calm = {name: _rests(by_name[name], limits) for name in by_name if any(name in others for others in asked.values())}
+    calm = {
+        name: comes_to_rest(by_name[name], limits)
+        for name in by_name
+        if any(name in others for others in asked.values())
+    }
     of = {name: {name} for name in by_name}
     for net in nets:
         for partner in net.partners() & by_name.keys():
@@ -56,36 +53,10 @@ def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]
     return found
 
 
-def comes_to_rest(net: Net, limits: SearchLimits = LIMITS) -> bool:
-    """Return whether an idle net is always in the first marking; False where undecided.
-
-    Raises:
-        NetError: It is no net.
-    """
-    problem = problem_of([net])
+def comes_to_rest(net: Net, limits: SearchLimits) -> bool:
+    """Return whether an idle net is always in the first marking; False where undecided."""
     try:
-        search = Search(problem.compiled, problem.initial, kinds=problem.kinds)
-    except TooManyTokensError:
-        return False
-    if search.run(limits, thread_cpu() + limits.seconds):
-        return False
-    found = search.found
-    quiet = np.flatnonzero((found.kinds[: found.count] & 1) == 0)
-    words = found.words[:, quiet]
-    own = expand(net).places
-    for index, place in enumerate(problem.compiled.places):
-        if place in own:
-            tokens = problem.initial[index]
-            if found.packing.holds(words, index, tokens + 1).any():
-                return False
-            if tokens and not found.packing.holds(words, index, tokens).all():
-                return False
-    return True
-
-
-def _rests(net: Net, limits: SearchLimits) -> bool:
-    try:
-        return comes_to_rest(net, limits)
+        return kept([net], partial(verify, [net], limits)).comes_to_rest is True
     except NetError:
         return False
 

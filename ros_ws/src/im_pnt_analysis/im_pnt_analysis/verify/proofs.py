@@ -21,7 +21,7 @@ from im_core.names import cache_dir
 from im_core.text.jsontext import load_json
 from im_pnt.model.net import Net
 from im_pnt.netfile import yaml_text
-from im_pnt_analysis.guards.coverage import types_read
+from im_pnt_analysis.guards.coverage import GuardDecisions, decide_guards, recall_decisions, types_read
 from im_pnt_analysis.verify.report import Report
 
 MOST = 1000
@@ -38,38 +38,49 @@ class Proof(pydantic.BaseModel):
         fingerprint: Of what was proved; the name of the file.
         states: Number of reachable markings; None where they were not counted.
         assumptions: What the verdict takes for granted.
+        comes_to_rest: As of :class:`~im_pnt_analysis.verify.report.Report`.
+        guards: Decisions about the guards of each net.
     """
 
     fingerprint: str
     states: int | None
     assumptions: list[str]
+    comes_to_rest: bool | None
+    guards: dict[str, GuardDecisions]
 
 
-def find_proof(nets: Sequence[Net]) -> Report | None:
-    """Return the verdict on nets verified before; None without one.
+def find_proof(nets: Sequence[Net], key: str) -> Report | None:
+    """Return the verdict on nets verified before, and recall the decisions about their guards; None without one.
 
     Args:
         nets: Nets as written, in any order.
+        key: Their fingerprint.
     """
-    key = fingerprint(nets)
     try:
         proof = Proof.model_validate(load_json(_folder() / f"{key}.json", files.MEBIBYTE))
     except (DataError, StoreError, pydantic.ValidationError):
         return None
-    if proof.fingerprint != key:
+    if proof.fingerprint != key or proof.guards.keys() != {net.name for net in nets}:
         return None
+    for net in nets:
+        recall_decisions(net, proof.guards[net.name])
     report = Report([net.name for net in nets], proved_before=True, assumptions=proof.assumptions)
     answers = {"bounded": True, "has_deadlock": False, "resources_return": True, "resources_held": True}
-    report.answer("proved before", states=proof.states, **answers)
+    report.answer("proved before", states=proof.states, comes_to_rest=proof.comes_to_rest, **answers)
     report.leave("not asked")
     report.decide()
     return report
 
 
-def keep_proof(nets: Sequence[Net], report: Report) -> None:
+def keep_proof(nets: Sequence[Net], key: str, report: Report) -> None:
     """Keep the proof of nets; without room for the proof, the nets will be verified again."""
-    key = fingerprint(nets)
-    proof = Proof(fingerprint=key, states=report.states, assumptions=report.assumptions)
+    proof = Proof(
+        fingerprint=key,
+        states=report.states,
+        assumptions=report.assumptions,
+        comes_to_rest=report.comes_to_rest,
+        guards={net.name: decide_guards(net) for net in nets},
+    )
     with contextlib.suppress(StoreError, DataError, OSError):
         folder = _folder()
         write_whole(folder / f"{key}.json", proof.model_dump_json())
@@ -84,12 +95,13 @@ def _folder() -> Path:
 
 def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
     """Return the kept proof of nets, or a new one."""
-    report = find_proof(nets)
+    key = fingerprint(nets)
+    report = find_proof(nets, key)
     if report is None:
         report = prove()
         report.composed = report.composed or list(nets)
         if report.ok:
-            keep_proof(nets, report)
+            keep_proof(nets, key, report)
     return report
 
 

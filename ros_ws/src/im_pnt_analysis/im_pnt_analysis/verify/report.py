@@ -42,6 +42,7 @@ class Report:
         resources_return: Whether commands and services that were possible can always become possible again, and, in
             nets that declare no rest, every place that was marked at first can always get its tokens back.
         resources_held: Whether whoever acts on a resource holds it.
+        comes_to_rest: Whether a net, alone, is back in the first marking whenever it does nothing by itself.
         terminal_sccs: Number of strongly connected sets of markings that are never left.
         never_enabled_transitions: Number of transitions that can never fire.
         never_enabled: Their names.
@@ -85,6 +86,7 @@ class Report:
     reversible: bool | None = None
     resources_return: bool | None = None
     resources_held: bool | None = None
+    comes_to_rest: bool | None = None
     terminal_sccs: int | None = None
     never_enabled_transitions: int | None = None
     never_enabled: list[str] | None = None

@@ -10,7 +10,7 @@ from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.answers import answer_holding, conserve, describe
 from im_pnt_analysis.verify.layers import parts
 from im_pnt_analysis.verify.problem import problem_of
-from im_pnt_analysis.verify.proofs import keep_proof, kept
+from im_pnt_analysis.verify.proofs import fingerprint, keep_proof, kept
 from im_pnt_analysis.verify.report import NEEDED, Progress, Report
 from im_pnt_analysis.verify.verdict import ALL_ROWS, verify
 
@@ -45,7 +45,7 @@ def verify_files(nets: Sequence[Net], limits: SearchLimits, *, structure: bool, 
         describe(report, problem, thread_cpu() + limits.seconds)
     report.time_s, report.cpu_s = round(monotonic() - began, 4), round(thread_cpu() - used, 4)
     if report.ok and len(groups(nets)) == 1:
-        keep_proof(nets, report)
+        keep_proof(nets, fingerprint(nets), report)
     return report
 
 
@@ -63,7 +63,7 @@ def verify_in_parts(
     Raises:
         NetError: They do not fit together.
     """
-    divided = parts(nets) if len(nets) > 1 else [list(nets)]
+    divided = parts(nets, limits) if len(nets) > 1 else [list(nets)]
     if len(divided) == 1:
         return verify(nets, limits, structure=structure, progress=progress)
     from im_pnt_analysis.composition.callers import Callers  # brings a library that few nodes need

@@ -23,6 +23,7 @@ from im_pnt_analysis.verify.answers import (
     answer_from_stubborn_sets,
     answer_from_whole,
     answer_holding,
+    answer_rest,
     conserve,
     describe,
     refuse_endless,
@@ -115,6 +116,8 @@ class _Verification:
             self._search(search)
         if search.complete:
             self.progress(f"all {search.found.count} markings found; from where to where")
+            if len(problem.nets) == 1:
+                answer_rest(report, problem, search)
             answer_from_whole(report, problem, search, self.deadline)
         else:
             answer_from_part(report, problem, search, self.deadline)

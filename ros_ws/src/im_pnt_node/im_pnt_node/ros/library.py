@@ -1,7 +1,7 @@
 """Net files of a node, and the known nets of other nodes."""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from im_core.errors import ImError
 from im_core.files import make_folder, write_whole
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
+from im_core.ros.coroutines import OneAtATime
 from im_core.ros.node import ManagedNode
 from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
@@ -46,15 +47,19 @@ class Library:
         self._known: dict[str, Net] = {}
         self._nodes: dict[str, str] = {}
         self._unread: dict[tuple[str, str], NetDescription] = {}
-        self._reading = False
 
     def keep_in(self, folder: Path) -> None:
         """Keep later nets in a folder for a restart of the node."""
         self._kept = make_folder(folder)
 
-    def follow(self, node: ManagedNode) -> None:
-        """Learn the nets of other nodes; the reading may take seconds, and the loop goes on meanwhile."""
-        self._node = node
+    def follow(self, node: ManagedNode, own: Callable[[], Iterable[Net]]) -> None:
+        """Learn the nets of other nodes; the reading may take seconds, and the loop goes on meanwhile.
+
+        Args:
+            node: The node.
+            own: Returns the nets that run there; of others only their partners are read before :meth:`read`.
+        """
+        self._node, self._own, self._readers = node, own, OneAtATime(node.promise)
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def nets(self, found: Mapping[str, tuple[str, str]], typed: bool) -> list[Net]:
@@ -135,7 +140,7 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with all known direct and indirect partners."""
+        """Return a net with all direct and indirect partners; what is not read yet is not known (:meth:`read`)."""
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
@@ -152,28 +157,38 @@ class Library:
 
     def _learn(self, description: NetDescription) -> None:
         key = description.net, description.node
+        if description.node == self._node.get_fully_qualified_name():
+            return
         if len(self._unread) == MOST_NETS and key not in self._unread:
             raise NetError(f"it is not read: {MOST_NETS} others wait", net=description.net)
         self._unread.pop(key, None)  # read is in the order in which it was told
         self._unread[key] = description
-        if not self._reading:
-            self._reading = True
-            self._node.spawn(self._read())
+        if self._is_needed(key):
+            self._node.spawn(self.read(self._is_needed))
 
-    async def _read(self) -> None:
-        """Read the descriptions of nets, the last one of each node for each net."""
-        while self._unread:
-            net, node = key = next(iter(self._unread))
-            told = self._unread.pop(key)
-            if not told.json:
-                self._forget(net, node)
-                continue
-            try:
-                self._enter(await run_in_thread(self._node, read_net, net, told.json, node, timeout_s=READ_S), node)
-            except ImError as error:
-                self._forget(net, node)
-                self._node.note_failure("subscription /pnt/nets", error, lambda: "im_msgs/msg/NetDescription")
-        self._reading = False
+    def _is_needed(self, key: tuple[str, str]) -> bool:
+        """Return whether a description changes what is known, or is one of a direct or indirect partner."""
+        partners = (net.partners() for net in (*self._own(), *self._known.values()))
+        return not self._unread[key].json or key[0] in self._known or any(key[0] in names for names in partners)
+
+    async def read(self, chosen: Callable[[tuple[str, str]], bool] = lambda key: True) -> None:
+        """Read the descriptions of nets, the last one of each node for each net.
+
+        Args:
+            chosen: Tells by net and node whether to read a description now.
+        """
+        async with self._readers:
+            while (key := next(filter(chosen, self._unread), None)) is not None:
+                (net, node), told = key, self._unread.pop(key)
+                if not told.json:
+                    self._forget(net, node)
+                    continue
+                try:
+                    found = await run_in_thread(self._node, read_net, net, told.json, node, timeout_s=READ_S)
+                    self._enter(found, node)
+                except ImError as error:
+                    self._forget(net, node)
+                    self._node.note_failure("subscription /pnt/nets", error, lambda: "im_msgs/msg/NetDescription")
 
     def _enter(self, net: Net, node: str) -> None:
         if net.former:

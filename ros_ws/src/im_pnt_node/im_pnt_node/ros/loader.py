@@ -393,6 +393,7 @@ class Loader:
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: They do not fit together.
         """
+        await self._library.read()
         own = {name: each.written for name, each in self._nets.items() if name != without and not each.written.former}
         own |= {each.name: each for each in beside}
         together = [each for each in self._library.group(net, list(own.values())) if each.name != without]

@@ -5,12 +5,9 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from rclpy.serialization import serialize_message
-
 from im_core.errors import ConfigError, ImError, NotFoundError
 from im_core.ros.messages.interfaces import interface_class, type_name
 from im_pnt.expression.types import ValueType, field_type
-from im_pnt_node.rerun.log import packed
 
 _PARTS = ("_Request", "_Response", "_Goal", "_Result")
 
@@ -42,6 +39,10 @@ def _fields(message: str) -> Mapping[str, ValueType]:
 
 def packed_message(message: object) -> list[str]:
     """Return a message as JSON data."""
+    from rclpy.serialization import serialize_message  # the process that verifies nets asks for types, and has no ROS
+
+    from im_pnt_node.rerun.log import packed
+
     return packed(type_name(type(message)), serialize_message(message))
 
 

@@ -210,7 +210,7 @@ class PntNode(ManagedNode):
             for executor in self.exchange.nets.values():
                 self._publisher.marked(executor)
         self._transport.listen(self.exchange, self._loop)
-        self._library.follow(self)
+        self._library.follow(self, lambda: (executor.written for executor in self.exchange.nets.values()))
 
     def completed(self, nets: list[Net]) -> list[Net]:
         """Return the first nets, of files or of a journal, completed by a subclass.

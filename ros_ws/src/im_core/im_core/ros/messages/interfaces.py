@@ -5,8 +5,6 @@ from importlib import import_module
 from typing import Any
 
 from ament_index_python import has_resource
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import deserialize_message
 
 from im_core.errors import DataError, NotFoundError
 
@@ -56,6 +54,9 @@ def decoded(data: bytes, interface: type) -> Any:
     Raises:
         DataError: They are none of this type.
     """
+    from rclpy.impl.implementation_singleton import rclpy_implementation  # programs that ask for types have no ROS
+    from rclpy.serialization import deserialize_message
+
     try:
         return deserialize_message(data, interface)
     except (rclpy_implementation.RMWError, UnicodeError, MemoryError):
