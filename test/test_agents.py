@@ -8,6 +8,7 @@ from functools import partial
 import pytest
 from std_msgs.msg import String
 
+from im_bringup.machine import machine_state
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.machine.nets import MachineNets
 from im_bringup.ros import agent as agent_of_host
@@ -15,6 +16,7 @@ from im_bringup.ros import agents
 from im_bringup.tasks.agent import Agent
 from im_bringup.tasks.deployment import Deployment, options_text
 from im_bringup.tasks.signed_link import HostOrder, HostReport, SignedLink, orders_topic, reports_topic
+from im_core import names
 from im_core.config import parse_model
 from im_core.errors import DataError
 from im_core.processes.agent_socket import AgentOrder
@@ -42,9 +44,9 @@ class World:
         self.remote = agents.RemoteAgents(node, self.bootstrap, ["far"], "{}", SECRET)
         monkeypatch.setattr(self.remote._agents[0].publisher, "publish", lambda order: self._orders.append(order.data))
 
-    def report(self, agent):
+    def report(self, agent, serves=""):
         """Have an agent report; return the phase that it is ordered, or None."""
-        content = json.dumps(asdict(HostReport([], {})))
+        content = json.dumps(asdict(HostReport([], {}, serves)))
         self.remote._hear(self.remote._agents[0], String(data=agent.sign(reports_topic("far"), content)))
         opened = [agent.open(orders_topic("far"), order).content for order in self._orders]
         self._orders.clear()
@@ -96,6 +98,20 @@ def test_an_agent_with_another_secret_is_named_by_a_start_that_waits_for_it(worl
     assert world.bootstrap.missing()[0] == f"host far: {told}"
 
 
+def test_a_start_ends_where_the_agent_works_for_a_machine_of_another_host(world, monkeypatch):
+    agent = SignedLink(SECRET, "far")
+    monkeypatch.setenv(names.RUN, "ours")
+    for serves in ("", "ours"):
+        assert world.report(agent, serves) is StartupPhase.LOAD
+    assert world.report(agent, "theirs") is None
+    assert world.bootstrap.missing() == [
+        "the agent of host far works for a machine of the same ROS domain on another host (run theirs); stop that "
+        "machine, or set another ROS_DOMAIN_ID"
+    ]
+    world.bootstrap.poll(world.now)
+    assert world.bootstrap.state == machine_state.FAILED
+
+
 class Processes(Agent):
     """Stand for the processes of a host; note which began and ended, in order."""
 
@@ -130,3 +146,66 @@ def test_an_agent_that_missed_the_end_of_a_run_carries_no_task_into_the_next(hos
     for run in ("first", "first", "second", "second"):
         node._follow(HostOrder(AgentOrder(int(StartupPhase.LOAD), {}), 60.0, options_text(deployment), run))
     assert noted == ["begun", "ended", "begun"]
+
+
+class Leader:
+    """Bootstrap of a run that orders the agent, and hears its reports."""
+
+    def __init__(self, node, deployment, run):
+        self._node, self._options, self._run = node, options_text(deployment), run
+        self._link = SignedLink(SECRET, "far")
+
+    def order(self, phase=StartupPhase.LOAD):
+        """Order as an answer to a report of the agent; return the run that the next report names, or None."""
+        reports = []
+        self._node._publisher.publish = lambda report: reports.append(report.data)
+        self._node._report([])
+        sender = self._link.open(reports_topic("far"), reports.pop()).sender
+        content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 60.0, self._options, self._run)))
+        self._node._hear(String(data=self._link.sign(orders_topic("far"), content, sender)))
+        if not reports:
+            self._node._report([])
+        opened = self._link.open(reports_topic("far"), reports.pop())
+        return None if opened.content is None else json.loads(opened.content)["serves"]
+
+
+@pytest.fixture
+def leaders(host, monkeypatch):
+    """Two bootstraps of different runs, and a function that lets time pass."""
+    node, deployment, _ = host
+    now = [100.0]
+    monkeypatch.setattr(agent_of_host.clock, "monotonic", lambda: now[0])
+
+    def wait(seconds):
+        now[0] += seconds
+
+    return *(Leader(node, deployment, run) for run in ("first", "second")), wait
+
+
+def test_an_agent_keeps_to_its_bootstrap_and_tells_another_one_so(host, leaders):
+    noted, (first, second, wait) = host[2], leaders
+    for _ in range(20):
+        assert first.order() == "first"
+        wait(0.5)
+        assert second.order() == "first"
+        second.order(StartupPhase.SHUTDOWN)
+    assert not host[0].finished
+    assert noted == ["begun"]
+
+
+def test_an_agent_takes_a_bootstrap_of_another_run_after_a_silence_and_blames_none_before(host, leaders):
+    noted, (first, second, wait) = host[2], leaders
+    assert first.order() == "first"
+    wait(3.0)
+    assert second.order() is None
+    wait(4.0)
+    assert second.order(StartupPhase.SHUTDOWN) is None
+    assert second.order() == "second"
+    assert noted == ["begun", "ended", "begun"]
+
+
+def test_an_agent_takes_another_bootstrap_of_its_run_at_once(host, leaders):
+    first, deployment = leaders[0], host[1]
+    assert first.order() == "first"
+    assert Leader(host[0], deployment, "first").order() == "first"
+    assert host[2] == ["begun"]

@@ -134,7 +134,8 @@ class RemoteAgents:
         if opened.content is not None:
             agent.heard = now
             told = read_json(HostReport, opened.content, topic)
-            unlike = self._bootstrap.agent_heard(host, told.digests, now)
+            serves = told.serves if told.serves != os.environ.get(names.RUN, "") else ""
+            unlike = self._bootstrap.agent_heard(host, told.digests, now, serves)
             self._warn(agent, unlike or agent.second_sentence(now))
             if unlike:
                 return
