@@ -36,22 +36,28 @@ class World:
     """A bootstrap with agents of a host, at a time that the test says."""
 
     def __init__(self, node, folder, monkeypatch):
-        self.now, self._orders = 0.0, []
+        self.now, self._orders, self.digests = 0.0, [], {"cell": "ours"}
         monkeypatch.setattr(agents.clock, "monotonic", lambda: self.now)
         self.bootstrap = Bootstrap(
-            placed(host="far"), Agent((), os.environ), "near", MachineNets(folder, unproved=False)
+            placed(host="far"), Agent((), os.environ), "near", MachineNets(folder, unproved=False), self.digests
         )
         self.remote = agents.RemoteAgents(node, self.bootstrap, ["far"], "{}", SECRET)
         monkeypatch.setattr(self.remote._agents[0].publisher, "publish", lambda order: self._orders.append(order.data))
 
     def report(self, agent, serves=""):
-        """Have an agent report; return the phase that it is ordered, or None."""
-        content = json.dumps(asdict(HostReport([], {}, serves)))
+        """Have an agent report, again if it is asked to; return the phase that it is ordered, or None."""
+        told = self.hear(agent, serves)
+        if told and told[-1] is None:
+            return self.report(agent, serves)
+        return StartupPhase(told[-1]["phase"]) if told else None
+
+    def hear(self, agent, serves=""):
+        """Have an agent report; return the orders that it gets."""
+        content = json.dumps(asdict(HostReport([], self.digests, serves)))
         self.remote._hear(self.remote._agents[0], String(data=agent.sign(reports_topic("far"), content)))
         opened = [agent.open(orders_topic("far"), order).content for order in self._orders]
         self._orders.clear()
-        told = [json.loads(content)["order"]["phase"] for content in opened if content is not None]
-        return StartupPhase(told[-1]) if told else None
+        return [json.loads(content)["order"] for content in opened if content is not None]
 
 
 @pytest.fixture
@@ -86,7 +92,7 @@ def test_a_recorded_message_of_a_former_run_ends_no_agent_that_was_silent(world)
     for _ in range(2):
         assert world.report(agent) is StartupPhase.LOAD
     world.now += 5.0
-    world.report(former)  # whoever plays it back cannot answer in its name
+    assert world.hear(former) == [None]  # whoever plays it back cannot answer in its name
     assert world.report(agent) is StartupPhase.LOAD
 
 
@@ -96,6 +102,21 @@ def test_an_agent_with_another_secret_is_named_by_a_start_that_waits_for_it(worl
         world.report(SignedLink(b"another secret of thirty characters", "far"))
     told = "a message on /agent_far/reports for host far is not signed with the secret of IM_SECRET_FILE"
     assert world.bootstrap.missing()[0] == f"host far: {told}"
+
+
+@pytest.mark.parametrize("ready", [False, True])
+def test_an_agent_with_another_cell_gets_no_order_at_all(world, ready):
+    if ready:
+        assert world.report(SignedLink(SECRET, "far")) is StartupPhase.LOAD
+        world.now += 5.0
+    world.digests = {"cell": "theirs"}
+    agent = SignedLink(SECRET, "far")
+    for _ in range(3):
+        assert world.report(agent) is None
+    world.bootstrap.shut_down()
+    world.remote.order()
+    assert world.report(agent) is None
+    assert world.bootstrap.missing() == ["host far differs from host near in: cell; give both the same files"]
 
 
 def test_a_start_ends_where_the_agent_works_for_a_machine_of_another_host(world, monkeypatch):
@@ -156,13 +177,19 @@ class Leader:
         self._link = SignedLink(SECRET, "far")
 
     def order(self, phase=StartupPhase.LOAD):
-        """Order as an answer to a report of the agent; return the run that the next report names, or None."""
+        """Order as an answer to a report of the agent, a shutdown at once, the rest after another report.
+
+        Returns:
+            The run that the next report names; None: the report is for another bootstrap.
+        """
         reports = []
         self._node._publisher.publish = lambda report: reports.append(report.data)
         self._node._report([])
         sender = self._link.open(reports_topic("far"), reports.pop()).sender
-        content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 60.0, self._options, self._run)))
-        self._node._hear(String(data=self._link.sign(orders_topic("far"), content, sender)))
+        orders = [None, AgentOrder(int(phase), {})]
+        for order in orders[phase is StartupPhase.SHUTDOWN :]:
+            content = json.dumps(asdict(HostOrder(order, 60.0, self._options, self._run)))
+            self._node._hear(String(data=self._link.sign(orders_topic("far"), content, sender)))
         if not reports:
             self._node._report([])
         opened = self._link.open(reports_topic("far"), reports.pop())

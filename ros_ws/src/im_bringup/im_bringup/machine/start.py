@@ -173,14 +173,29 @@ def become_agent(arguments: argparse.Namespace) -> None:
         if name not in kept and value != getattr(usual, name):
             parser().error(f"--{name} is given at the start on the first host; --host takes it from there")
     path = Path(arguments.deployment or deployments.default_path()).resolve()
+    failure = 2
     try:
+        check_host(arguments.host, deployments.load(path), path)
+        failure = 1
         require_none_runs()
     except ImError as error:
         complain(f"start: {error.message}")
-        sys.exit(1)
+        sys.exit(failure)
     agent = [str(path_of("im_bringup", "agent")), arguments.host, str(path)]
     argv = [*_SUPERVISOR, "--agent", *agent]
     os.execve(sys.executable, argv, {**os.environ, MARKER: names.instance()})
+
+
+def check_host(host: str, deployment: Deployment, path: Path) -> None:
+    """Refuse a host that a deployment does not have.
+
+    Raises:
+        ConfigError: It has not; names the file and the known hosts.
+    """
+    try:
+        deployment.on_host(host)
+    except NotFoundError as error:
+        raise config.fault_in(path, ("hosts",), error.message) from error
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:

@@ -79,7 +79,7 @@ class AgentNode(GuardedNode):
         self._incarnations: dict[str, int] = {}
         self._digests = digests(deployment)
         self._report_at = 0.0
-        self._started, self._run = False, ""
+        self._started, self._run, self._serves = False, "", ""
         self._ordered_at = -math.inf
         self.finished = False
         self._publisher = self.create_publisher(String, reports_topic(host), qos.EVENTS)
@@ -102,26 +102,30 @@ class AgentNode(GuardedNode):
         topic = orders_topic(self._host)
         opened = self._link.open(topic, message.data, self._is_free_for)
         if opened.content is not None:
-            self._ordered_at = clock.monotonic()
-            self._follow(read_json(HostOrder, opened.content, topic))
+            told = read_json(HostOrder, opened.content, topic)
+            self._ordered_at, self._serves = clock.monotonic(), told.run
+            self._follow(told)
         elif opened.refused and clock.monotonic() < self._ordered_at + _ALIVE_S:
             self._report([], opened.sender)  # it learns which run this agent is of
 
     def _is_free_for(self, order: str) -> bool:
         """Check whether a new bootstrap may order: one of the same run, or one that starts after a silence."""
         told = read_json(HostOrder, order, orders_topic(self._host))
-        if not self._started or told.run == self._run:
+        if not self._started or told.run == self._serves:
             return True
         silent = clock.monotonic() > self._ordered_at + _SILENT_S
-        return silent and told.order.phase != StartupPhase.SHUTDOWN
+        return silent and (told.order is None or told.order.phase != StartupPhase.SHUTDOWN)
 
     def _report(self, tasks: list[tuple[TaskReport, int]], receiver: str | None = None) -> None:
         """Report to an incarnation of the bootstrap; None: to the present one."""
-        topic, report = reports_topic(self._host), HostReport(tasks, self._digests, self._run)
+        topic, report = reports_topic(self._host), HostReport(tasks, self._digests, self._serves)
         self._publisher.publish(String(data=self._link.sign(topic, json.dumps(asdict(report)), receiver)))
 
     def _follow(self, told: HostOrder) -> None:
         """Carry out the order of the bootstrap."""
+        if told.order is None:
+            self._report_at = 0.0
+            return
         phase = member(StartupPhase, told.order.phase, "the phase that the bootstrap orders")
         if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started and told.run == self._run

@@ -38,13 +38,13 @@ class HostOrder:
     """Order of the bootstrap to the agent of another host.
 
     Attributes:
-        order: What its tasks are to do.
+        order: What its tasks are to do; None: report first what the host has.
         start_timeout_s: How long the start may take [s].
         options: What the start was given, as of :func:`im_bringup.tasks.deployment.options_text`.
         run: Name of this run of the machine.
     """
 
-    order: AgentOrder
+    order: AgentOrder | None
     start_timeout_s: float
     options: str
     run: str
