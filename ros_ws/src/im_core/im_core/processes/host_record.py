@@ -1,4 +1,4 @@
-"""Record of this host in a machine over several hosts, with what clients of the host need to reach the other hosts."""
+"""Record of the local host in a machine over several hosts: folder of the tasks, and reach of DDS for clients."""
 
 import json
 import os
@@ -21,7 +21,7 @@ PROFILES = LOOPBACK_PROFILE, OPEN_PROFILE = "fastdds.xml", "fastdds_hosts.xml"
 
 @dataclass(frozen=True)
 class HostRecord:
-    """What the bootstrap or the agent of a host tells the programs of the same host.
+    """Facts from the bootstrap or the agent of a host for other programs of the host.
 
     Attributes:
         pid: Process of the bootstrap or the agent.
@@ -81,7 +81,7 @@ def remove() -> None:
 
 
 def reach_machine(domain: int | None = None) -> None:
-    """Have DDS of this process reach as far as that of the machine on this host; a profile of the user's is kept.
+    """Extend the reach of DDS in the process to all hosts of the machine on the local host; keep a profile of the user.
 
     Args:
         domain: As of :func:`read`.
