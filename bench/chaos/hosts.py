@@ -149,6 +149,7 @@ class Network:
 
     def _plug(self, host: Host) -> None:
         port = f"port{self.hosts.index(host)}"
+        self._middle.run("ip", "link", "delete", port)  # the kernel takes its time with that of a host that was killed
         words = f"ip link add {CABLE} netns {host.pid} type veth peer name {port} netns {self._middle.pid}"
         done = subprocess.run(words.split(), capture_output=True, text=True, check=False)
         if done.returncode:
