@@ -178,6 +178,7 @@ def become_agent(arguments: argparse.Namespace) -> None:
         check_host(arguments.host, deployments.load(path), path)
         failure = 1
         require_none_runs()
+        preflight.check_host()
     except ImError as error:
         complain(f"start: {error.message}")
         sys.exit(failure)
