@@ -176,6 +176,61 @@ def test_a_deployment_over_two_hosts_opens_itself_and_survives_a_cut_cable_and_t
     assert agent.wait(WAIT_S) == 0
 
 
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+def test_programs_of_each_host_reach_the_other_and_a_stop_ends_what_runs_on_its_host(two, wait_until):
+    """What a user types, with the environment of scripts: on one host alone it keeps DDS to the loopback."""
+    here, there, deployment = two
+    agent = there.start(SCRIPTS / "start.sh", deployment, "--host", "far")
+    done = here.run(SCRIPTS / "start.sh", deployment, "--timeout", 3 * WAIT_S)
+    assert done.returncode == 0, done.stderr
+    for host in (here, there):
+        done = host.run(SCRIPTS / "im", "tasks", "--json")
+        assert [task["phase"] for task in json.loads(done.stdout)] == ["ready", "ready"], done.stderr
+        for node in ("dom", "gripper_coordinator"):
+            done = host.run(SCRIPTS / "im", "param", "get", f"/{node}", "use_sim_time")
+            assert done.returncode == 0, done.stdout + done.stderr
+    done = there.run(SCRIPTS / "im", "view")
+    assert done.returncode == 3
+    assert done.stderr.startswith("im view: host far serves no page; ")
+    for refused in ((), ("--host", "far")):
+        done = there.run(SCRIPTS / "start.sh", deployment, *refused)
+        assert done.returncode == 1
+        assert done.stderr.startswith("start: the agent of host far of ROS domain ")
+    done = there.run(SCRIPTS / "stop.sh")
+    assert done.returncode == 0
+    first, second = done.stdout.splitlines()
+    assert first.startswith("stop: the agent of host far ends with its tasks; ")
+    assert second.startswith("stop: all tasks ended in order; ")
+    assert agent.wait(WAIT_S) == 0
+    wait_until(lambda: tasks_of(here)["gripper_coordinator"]["phase"] == "dead", "the host to be missed", 6 * WAIT_S)
+    assert here.run(SCRIPTS / "stop.sh").returncode == 0
+
+
+def test_a_start_on_a_third_host_leaves_a_running_machine_its_agent(three, tmp_path):
+    here, there, elsewhere = three
+    deployment = tmp_path / "two.yaml"
+    deployment.write_text(TWO_HOSTS)
+    agent = there.start(*START, deployment, "--host", "far")
+    done = here.run(*START, deployment, "--timeout", 3 * WAIT_S)
+    try:
+        assert done.returncode == 0, done.stderr
+        before = {name: task["incarnation"] for name, task in tasks_of(here).items()}
+        done = elsewhere.run(*START, deployment, "--timeout", 3 * WAIT_S)
+        assert done.returncode == 1
+        told = done.stderr.splitlines()
+        assert told[0] == "start: not every task could be started:"
+        assert told[1].startswith(
+            "  the agent of host far works for a machine of the same ROS domain on another host ("
+        )
+        assert {name: task["incarnation"] for name, task in tasks_of(here).items()} == before
+        assert [task["phase"] for task in tasks_of(here).values()] == ["ready", "ready"]
+    finally:
+        assert here.run(*STOP).returncode == 0
+    assert agent.wait(WAIT_S) == 0
+
+
 MISSING = "from im_bringup.machine import machine_state; print(*machine_state.read().missing, sep='\\n')"
 
 

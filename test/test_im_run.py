@@ -144,3 +144,21 @@ def test_the_help_of_a_command_is_that_of_its_net_file_where_no_machine_has_run(
     assert told.startswith("usage: im run open_gripper")
     assert "--group right|left" in told or "--group left|right" in told
     assert "Needs <group>_gripper" in told
+
+
+@pytest.mark.parametrize(
+    ("missing", "told"),
+    [
+        ([], "; the machine is ready"),
+        (["vss died: it was killed by SIGKILL"], "; the machine is ready"),
+        (
+            ["dom died: nothing was heard of host far", "dispatcher died: nothing was heard of host far"],
+            "; the machine is ready, but dispatcher died: nothing was heard of host far",
+        ),
+    ],
+)
+def test_of_a_silent_dispatcher_is_told_what_the_bootstrap_knows(monkeypatch, missing, told):
+    record = SimpleNamespace(alive=True, state="ready", missing=missing)
+    monkeypatch.setattr(run_command.machine_state, "read", lambda: record)
+    assert run_command.why_lost(run_command.SILENCE_S) == ""
+    assert run_command.why_lost(run_command.SILENCE_S + 1.0) == told

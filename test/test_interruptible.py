@@ -1,5 +1,6 @@
 """Programs that talk to the machine: what they print, and what ends their waits."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -108,3 +109,17 @@ def test_who_waits_for_a_service_ends_when_interrupted(ros):
         asking.ask(client, Trigger.Request(), 60.0)
     with pytest.raises(KeyboardInterrupt):
         asking.pause(60.0)
+
+
+@pytest.mark.parametrize("variable", ["ROS_SECURITY_KEYSTORE", "ROS_LOG_DIR"])
+def test_what_ros_refuses_is_one_sentence_of_a_client_and_of_a_node(variable, tmp_path):
+    """Without a traceback: security without keys, and a folder of logs that cannot be made."""
+    (tmp_path / "file").touch()
+    security = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    given = {**os.environ, variable: str(tmp_path / "file/folder"), **(security if "KEY" in variable else {})}
+    for program, begins in (("im_bringup.ros.tasks", "im tasks: ROS "), ("im_dom.ros.node", "ROS ")):
+        argv = [sys.executable, "-m", program]
+        done = subprocess.run(argv, env=given, capture_output=True, text=True, check=False)
+        assert done.returncode == 1
+        assert done.stderr.splitlines()[-1].startswith(begins)
+        assert "Traceback" not in done.stderr

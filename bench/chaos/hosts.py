@@ -29,7 +29,7 @@ _SIOCETHTOOL, _SET_TX_CHECKSUM = 0x8946, 0x17
 
 
 class Host:
-    """A computer that stands for one, with a run folder of its own."""
+    """A computer that stands for one, with folders of its own for runs and results."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -63,7 +63,8 @@ class Host:
         """The environment without what our scripts say of DDS, and with more."""
         ours = (PROFILE, RANGE)
         plain = {key: value for key, value in os.environ.items() if key not in ours}
-        return {**plain, "IM_RUN_DIR": str(self.run_dir), **more}
+        own = {"IM_RUN_DIR": str(self.run_dir), "IM_RESULTS_DIR": str(self.run_dir / "results")}
+        return {**plain, **own, **more}
 
     @property
     def run_dir(self) -> Path:
@@ -148,6 +149,7 @@ class Network:
 
     def _plug(self, host: Host) -> None:
         port = f"port{self.hosts.index(host)}"
+        self._middle.run("ip", "link", "delete", port)  # the kernel takes its time with that of a host that was killed
         words = f"ip link add {CABLE} netns {host.pid} type veth peer name {port} netns {self._middle.pid}"
         done = subprocess.run(words.split(), capture_output=True, text=True, check=False)
         if done.returncode:

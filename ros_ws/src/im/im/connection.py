@@ -23,6 +23,7 @@ from rclpy.task import Future
 from im.errors import MachineError, UnreachableError
 from im.messages import message_of
 from im.waits import wait_for
+from im_core.processes.host_record import reach_machine
 from im_core.ros.rclpy_fixes.bounded_end import bounded_end
 
 ResultT = TypeVar("ResultT")
@@ -64,6 +65,7 @@ class Connection:
         self.living: Callable[[str], Callable[[], None]] = lambda name: lambda: None
         self.name = f"im_client_{os.getpid()}_{next(_NUMBERS)}"
         self._context = Context()
+        reach_machine(None if domain is None else int(named))
         rclpy.init(context=self._context, domain_id=domain)
         self.domain = int(self._context.get_domain_id())
         self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)

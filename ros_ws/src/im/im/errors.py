@@ -37,7 +37,7 @@ class UnreachableError(MachineError):
         """Return the error of a search for a machine in a ROS domain; the search took so long [s]."""
         return cls(
             f"no machine runs in ROS domain {domain}: none was heard within {timeout:g} s; scripts/start.sh starts "
-            "one, ROS_AUTOMATIC_DISCOVERY_RANGE and the DDS profile say which hosts are reached"
+            "one, docs/deployment.md says how to reach one on other computers"
         )
 
 

@@ -25,7 +25,7 @@ def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path / "results"))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    for variable in ("ROS_DISCOVERY_SERVER", "RMW_IMPLEMENTATION"):
+    for variable in ("ROS_DISCOVERY_SERVER", "RMW_IMPLEMENTATION", "ROS_SECURITY_ENABLE"):
         monkeypatch.delenv(variable, raising=False)
 
 
@@ -84,15 +84,16 @@ def test_no_folder_for_temporary_files(monkeypatch):
         preflight.check_host()
 
 
+@pytest.mark.parametrize("options", [("--port", "18199"), ("--host", "localhost")], ids=["machine", "agent"])
 @pytest.mark.parametrize("folder", ["run", "results", "ros", "/dev/shm"])
-def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(monkeypatch, tmp_path, folder):
+def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(monkeypatch, tmp_path, folder, options):
     for name in ("run/log", "results", "ros"):
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "run").chmod(0o700)
     (tmp_path / "run" / "pnt_display.url").touch()
     read_only = tmp_path / folder
     shell = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" || exit 77; exec "$0" "${@:2}"'
-    command = ["-m", "im_bringup.machine.start", "--timeout", "1", "--port", "18199"]
+    command = ["-m", "im_bringup.machine.start", "--timeout", "1", *options]
     domain = str(1000 + os.getpid() % 100_000)  # of no machine
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     machine_state.write(
@@ -151,6 +152,19 @@ def test_an_environment_in_which_nobody_is_found(monkeypatch, tmp_path, capsys, 
     monkeypatch.setenv(variable, "rmw_fastrtps_cpp" if variable.startswith("RMW") else "")
     assert doctor.main() == 0
     assert all(line.endswith(": ok") for line in capsys.readouterr().out.splitlines())
+
+
+def test_security_that_ros_does_not_have_or_has_no_keys_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path / "nowhere"))
+    with_free(monkeypatch)
+    with pytest.raises(
+        ImError, match=r"^ROS_SECURITY_ENABLE is true, and no node can be made \(.+\); .*nothing was sta"
+    ):
+        preflight.check_host()
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "false")
+    preflight.check_host()
 
 
 def test_a_loopback_interface_that_is_down():

@@ -64,6 +64,19 @@ def test_a_new_life_of_an_end_is_heard_and_its_former_is_not_any_more(ends):
     assert bootstrap.open("reports", again.sign("reports", "still ready")).content == "still ready"
 
 
+def test_a_new_bootstrap_that_is_refused_changes_nothing_until_it_is_accepted(ends):
+    bootstrap, agent, _ = ends
+    other = SignedLink(SECRET, "far")
+    sender = other.open("reports", agent.sign("reports", "?")).sender
+    order = other.sign("orders", "load", sender)
+    refused = agent.open("orders", order, lambda content: content != "load")
+    assert (refused.content, refused.refused) == (None, True)
+    assert agent.peer != refused.sender
+    assert agent.open("orders", bootstrap.sign("orders", "configure"), lambda _: False).content == "configure"
+    assert agent.open("orders", order).content == "load"
+    assert agent.peer == refused.sender
+
+
 def test_the_secret_is_of_its_owner_alone(tmp_path):
     path = tmp_path / "secret"
     environ = {VARIABLE: str(path)}

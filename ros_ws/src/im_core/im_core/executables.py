@@ -9,6 +9,7 @@ from pathlib import Path
 
 from im_core.errors import NotFoundError
 from im_core.files import FileError, read_bytes
+from im_core.processes.host_record import reach_machine
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -81,6 +82,7 @@ def _run(arguments: Sequence[str]) -> int:
     except NotFoundError as error:
         print(f"run: {error.message}", file=sys.stderr)
         return 2
+    reach_machine()
     _become(path, arguments[2:])
     return 0
 

@@ -262,7 +262,9 @@ def test_every_pose_is_visited_once_and_what_was_skipped_is_known_in_the_end(pla
     solver = {"success": True, "points_rejected": []}
     play.host.objects["calibration"] = "im_msgs/msg/CalibrationReport", {"json": json.dumps(solver)}
     play("write_report")
-    report = json.loads((Path(collected["directory"]) / "report.json").read_text())
+    directory = Path(str(play.job.memory["directory"]))
+    assert collected["directory"] == directory.name
+    report = json.loads((directory / "report.json").read_text())
     assert [entry["pose"] for entry in report["points_rejected"]] == ["p03", "p31"]
     assert (report["seed"], report["poses"]) == (3, 40)
 

@@ -12,6 +12,7 @@ from im_core.files import read_text
 from im_core.names import display_file
 from im_core.options import shown
 from im_core.output import complain
+from im_core.processes import host_record
 from im_core.processes.end_signals import heed_end_signals
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, write_output
@@ -36,17 +37,29 @@ def view() -> int:
     try:
         if options.bag is not None:
             return run_display(options)
-        address = read_text(display_file()).strip()
+        address = read_text(_address_file()).strip()
     except ImError as error:
         if options.bag is not None:
             complain(f"im view: {error.message}")
             return 1
-        complain("im view: no machine shows a page here; scripts/start.sh starts one, im view BAG shows a recording")
+        complain(f"im view: {_no_page()}")
         return 3
     print(address)
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(address)
     return OK
+
+
+def _address_file() -> Path:
+    record = host_record.read()
+    return Path(record.run_dir) / display_file().name if record is not None else display_file()
+
+
+def _no_page() -> str:
+    record = host_record.read()
+    if record is not None:
+        return f"host {record.host} serves no page; im tasks shows the host of pnt_display, where im view finds it"
+    return "no machine shows a page here; scripts/start.sh starts one, im view BAG shows a recording"
 
 
 def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

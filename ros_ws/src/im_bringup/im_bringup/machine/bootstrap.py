@@ -135,7 +135,7 @@ class Bootstrap:
         self.state = machine.STARTING
         self._agent, self._host, self._nets = agent, host, nets
         self._digests = digests or {}
-        self._unlike: dict[str, str] = {}  # sentence on each host that has other files than this one
+        self._unlike: dict[str, str] = {}  # sentence on each host with other files, or of another machine
         #: Hosts whose agents were not heard, each with what is wrong with what was.
         self._unheard = {
             each: f"no agent was heard; on it: start.sh FILE --host {each}"
@@ -181,28 +181,35 @@ class Bootstrap:
             self.loads.note(report, now)
             self.heard(report.task, pid, report.incarnation, progress, report.detail, now)
 
-    def agent_heard(self, host: str, digests: Mapping[str, str], now: float) -> str:
-        """Note a report of the agent of a host; return how the host's files differ from those here, as a sentence.
+    def agent_heard(self, host: str, digests: Mapping[str, str], now: float, serves: str = "") -> str:
+        """Note a report of the agent of a host; return the reason why the agent gets no orders, as a sentence.
 
-        A host that has others gets no orders; before the machine was ready the start fails.
+        The reason is other files than those of this host, or another machine; before the machine was ready the start
+        fails.
 
         Args:
             host: The host.
             digests: Of the host.
             now: Monotonic time [s].
+            serves: Run of another machine, for which the agent works; empty if there is none.
         """
         self.registry.agent_heard(host, now)
         self._changed |= host in self._unheard
         self._unheard.pop(host, None)
         unlike = differences(self._digests, digests)
-        self._changed |= bool(unlike) != (host in self._unlike)
-        if not unlike:
-            self._unlike.pop(host, None)
-            return ""
-        self._unlike[host] = (
-            f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
-        )
-        return self._unlike[host]
+        sentence = ""
+        if serves:
+            sentence = (
+                f"the agent of host {host} works for a machine of the same ROS domain on another host (run {serves}); "
+                "stop that machine, or set another ROS_DOMAIN_ID"
+            )
+        elif unlike:
+            sentence = f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
+        self._changed |= sentence != self._unlike.get(host, "")
+        self._unlike[host] = sentence
+        if not sentence:
+            del self._unlike[host]
+        return sentence
 
     def stranger_heard(self, host: str, sentence: str) -> None:
         """Note a message by a stranger to the agents; a start without an agent of the host names the message."""

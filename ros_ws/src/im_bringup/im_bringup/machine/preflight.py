@@ -4,6 +4,8 @@ import os
 import resource
 import shutil
 import socket
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +29,10 @@ FILE_BYTES = 32 * 2**20
 
 _MIB = 2**20
 _SERVER, _RMW = "ROS_DISCOVERY_SERVER", "RMW_IMPLEMENTATION"
+_SECURITY = "ROS_SECURITY_ENABLE"
+_MAKE_NODE = "import rclpy; rclpy.init(args=[]); rclpy.create_node('preflight')"
+#: How rclpy begins the reason, and how long a busy computer may take for a node [s].
+_NO_NODE, _NODE_S = "RCLError: ", 60.0
 _SHM_REMEDY = "scripts/stop.sh removes the files of killed machines; a container gets more room with --shm-size"
 
 
@@ -78,6 +84,7 @@ def host_checks() -> list[Check]:
         Check("discovery server", _check_discovery_server, f"'unset {_SERVER}' mends it"),
         Check("loopback interface", _check_loopback, "'sudo ip link set lo up' mends it"),
         Check("middleware", _check_middleware, f"'unset {_RMW}' mends it"),
+        Check("DDS security", _check_security, f"'unset {_SECURITY}' starts without it"),
     ]
 
 
@@ -126,6 +133,18 @@ def _check_middleware() -> None:
     if wanted and wanted not in known:
         installed = ", ".join(sorted(known)) or "none"
         raise _refused(f"{_RMW} is {wanted}, which is not installed (installed: {installed})", wanted=wanted)
+
+
+def _check_security() -> None:
+    """Make a node in another process, if the environment asks for DDS security."""
+    if os.environ.get(_SECURITY, "").lower() != "true":
+        return
+    argv = [sys.executable, "-P", "-c", _MAKE_NODE]
+    made = subprocess.run(argv, capture_output=True, text=True, check=False, timeout=_NODE_S)
+    if made.returncode != 0:
+        reason = next((line for line in made.stderr.splitlines() if _NO_NODE in line), made.stderr.strip()[-200:])
+        reason = reason.partition(_NO_NODE)[2] or reason
+        raise _refused(f"{_SECURITY} is true, and no node can be made ({reason})", reason=reason)
 
 
 def _check_folder(find: Callable[[], Path]) -> None:

@@ -16,7 +16,7 @@ from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.start_mark import only_one
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
-from im_bringup.tasks.agent import environment
+from im_bringup.tasks.agent import MARKER, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.middleware import reach, require_addresses
 from im_core import clock, config, names, unfinished_commands
@@ -25,6 +25,7 @@ from im_core.executables import INTERRUPTED, path_of
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds, whole
 from im_core.output import complain, say
+from im_core.processes import host_record
 from im_core.processes.process import ChildProcess
 from im_core.processes.startup import START_TIMEOUT, START_TIMEOUT_S
 
@@ -172,8 +173,30 @@ def become_agent(arguments: argparse.Namespace) -> None:
         if name not in kept and value != getattr(usual, name):
             parser().error(f"--{name} is given at the start on the first host; --host takes it from there")
     path = Path(arguments.deployment or deployments.default_path()).resolve()
+    failure = 2
+    try:
+        check_host(arguments.host, deployments.load(path), path)
+        failure = 1
+        require_none_runs()
+        preflight.check_host()
+    except ImError as error:
+        complain(f"start: {error.message}")
+        sys.exit(failure)
     agent = [str(path_of("im_bringup", "agent")), arguments.host, str(path)]
-    os.execv(sys.executable, [*_SUPERVISOR, "--agent", *agent])
+    argv = [*_SUPERVISOR, "--agent", *agent]
+    os.execve(sys.executable, argv, {**os.environ, MARKER: names.instance()})
+
+
+def check_host(host: str, deployment: Deployment, path: Path) -> None:
+    """Refuse a host that a deployment does not have.
+
+    Raises:
+        ConfigError: It has not; names the file and the known hosts.
+    """
+    try:
+        deployment.on_host(host)
+    except NotFoundError as error:
+        raise config.fault_in(path, ("hosts",), error.message) from error
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:
@@ -379,6 +402,8 @@ def attend(process: ChildProcess) -> int:
 def require_none_runs() -> None:
     """Check the absence of a running machine in the current ROS domain, and in another domain with the same folder.
 
+    The agent of a host of a machine counts as a machine.
+
     Two with one folder would go on with each other's commands, and write into each other's journals.
 
     Raises:
@@ -388,6 +413,11 @@ def require_none_runs() -> None:
     if record is not None and record.alive:
         raise StateError(
             f"a machine of ROS domain {machine.domain()} runs already ({record.state}, process {record.pid}); "
+            "stop it with scripts/stop.sh, or set another ROS_DOMAIN_ID"
+        )
+    if (agent := host_record.read()) is not None and agent.is_agent:
+        raise StateError(
+            f"the agent of host {agent.host} of ROS domain {machine.domain()} runs here already (process {agent.pid}); "
             "stop it with scripts/stop.sh, or set another ROS_DOMAIN_ID"
         )
     if other := machine.neighbour(names.run_dir()):

@@ -13,6 +13,7 @@ from im_bringup.machine.members import is_member, signal_member
 from im_bringup.machine.start_mark import end_start
 from im_core import clock, names, output, unfinished_commands
 from im_core.errors import DataError, LinkError
+from im_core.processes import host_record
 from im_core.processes.process import last_words
 
 #: The bootstrap's own ordered shutdown takes less than this, and its supervisor notices its end [s].
@@ -24,7 +25,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="stop",
         description="Stop the machine of this ROS domain and remove what a killed one left behind; takes 5 s at most "
-        "on a computer that has a processor for it.",
+        "on a computer that has a processor for it. On a host of `start --host`: stop its agent and the tasks there.",
         epilog="Exit codes: 0 nothing runs any more, 1 something could not be ended (said what).",
     )
     parser.parse_args()
@@ -46,7 +47,12 @@ def stop(say: Callable[[str], None]) -> int:
     except (DataError, LinkError):  # what is no record, or belongs to another user, is told of at the end
         record = None
     ran = record is not None and is_member(record.process)
-    if record is not None and ran:
+    agent = None if ran else host_record.read()
+    if agent is not None and signal_member(agent.process, signal.SIGINT):
+        say(f"stop: the agent of host {agent.host} ends with its tasks; the machine of the first host lacks them then")
+        ran = True
+        leftovers.await_end(_ORDERLY_S)
+    elif record is not None and ran:
         signal_member(record.process, signal.SIGINT)
         leftovers.await_end(_ORDERLY_S)
     elif record is not None and record.alive:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import os
 import socket
 import sys
@@ -34,6 +35,7 @@ from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.executables import INTERRUPTED
 from im_core.message_paths import MORE_FOLDERS, handed_over
+from im_core.processes import host_record
 from im_core.processes.agent_socket import TaskReport
 from im_core.processes.startup import START_TIMEOUT, StartupPhase
 from im_core.ros import qos, run
@@ -46,6 +48,8 @@ from im_msgs.msg import TaskStatus
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 #: How often the bootstrap hears of this host at least [s].
 REPORT_PERIOD_S = 0.5
+#: How long a bootstrap must be silent before one of another run may order [s]; until when it surely lives [s].
+_SILENT_S, _ALIVE_S = 6.0, 1.5
 #: How often an agent without a link to others looks whether there is one [s].
 _LINK_PERIOD_S = 0.2
 
@@ -75,7 +79,8 @@ class AgentNode(GuardedNode):
         self._incarnations: dict[str, int] = {}
         self._digests = digests(deployment)
         self._report_at = 0.0
-        self._started, self._run = False, ""
+        self._started, self._run, self._serves = False, "", ""
+        self._ordered_at = -math.inf
         self.finished = False
         self._publisher = self.create_publisher(String, reports_topic(host), qos.EVENTS)
         self.create_subscription(String, orders_topic(host), self._hear, qos.EVENTS)
@@ -87,6 +92,7 @@ class AgentNode(GuardedNode):
         """Stop all tasks of the local host, the last started first."""
         self._upkeep.stop()
         self._end_tasks()
+        host_record.remove()
 
     def _end_tasks(self) -> None:
         for name in self._agent.shut_down():
@@ -94,15 +100,35 @@ class AgentNode(GuardedNode):
 
     def _hear(self, message: String) -> None:
         topic = orders_topic(self._host)
-        opened = self._link.open(topic, message.data)
+        opened = self._link.open(topic, message.data, self._is_free_for)
         if opened.content is not None:
-            self._follow(read_json(HostOrder, opened.content, topic))
+            told = read_json(HostOrder, opened.content, topic)
+            self._ordered_at, self._serves = clock.monotonic(), told.run
+            self._follow(told)
+        elif opened.refused and clock.monotonic() < self._ordered_at + _ALIVE_S:
+            self._report([], opened.sender)  # it learns which run this agent is of
+
+    def _is_free_for(self, order: str) -> bool:
+        """Check whether a new bootstrap may order: one of the same run, or one that starts after a silence."""
+        told = read_json(HostOrder, order, orders_topic(self._host))
+        if not self._started or told.run == self._serves:
+            return True
+        silent = clock.monotonic() > self._ordered_at + _SILENT_S
+        return silent and (told.order is None or told.order.phase != StartupPhase.SHUTDOWN)
+
+    def _report(self, tasks: list[tuple[TaskReport, int]], receiver: str | None = None) -> None:
+        """Report to an incarnation of the bootstrap; None: to the present one."""
+        topic, report = reports_topic(self._host), HostReport(tasks, self._digests, self._serves)
+        self._publisher.publish(String(data=self._link.sign(topic, json.dumps(asdict(report)), receiver)))
 
     def _follow(self, told: HostOrder) -> None:
         """Carry out the order of the bootstrap."""
+        if told.order is None:
+            self._report_at = 0.0
+            return
         phase = member(StartupPhase, told.order.phase, "the phase that the bootstrap orders")
         if phase is StartupPhase.SHUTDOWN:
-            self.finished = self._started
+            self.finished = self._started and told.run == self._run
             return
         if self._started and told.run != self._run:  # it has not heard of the end of the former run
             self.log.warning("another run of the machine has begun: the tasks of the former one end")
@@ -144,9 +170,8 @@ class AgentNode(GuardedNode):
                     self._reports[task] = TaskReport(task, known, Progress.DEAD, event.sentence), 0
         if self._reports or now >= self._report_at:
             self._report_at = now + REPORT_PERIOD_S
-            content = json.dumps(asdict(HostReport(list(self._reports.values()), self._digests)))
+            self._report(list(self._reports.values()))
             self._reports.clear()
-            self._publisher.publish(String(data=self._link.sign(reports_topic(self._host), content)))
         if self.finished:
             rclpy.try_shutdown()
 
@@ -167,7 +192,8 @@ def main() -> int:
         _await_link(deployment.addresses.get(arguments.host, ""))
         require_addresses(deployment, Path(arguments.deployment))
         limit_memory(deployment.memory_mib)
-        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
+        os.environ.update(dds := middleware(os.environ, deployment))  # read when the first node is made
+        host_record.write(arguments.host, True, names.run_dir().resolve() / arguments.host, dds)
         return AgentNode(deployment, arguments.host, secret)
 
     os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients

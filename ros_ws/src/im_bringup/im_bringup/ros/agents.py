@@ -84,8 +84,8 @@ class RemoteAgents:
     def order(self) -> None:
         """Send each agent the changed orders."""
         for agent in self._agents:
-            if agent.link.peer and self._content(agent) != agent.sent:
-                self._send(agent, agent.link.peer)
+            if agent.sent and self._content(self._bootstrap.order(agent.host)) != agent.sent:
+                self._send(agent)
 
     def acknowledged(self) -> bool:
         """Wait at most :data:`ACKNOWLEDGED_S` until all agents have acknowledged; return whether all did."""
@@ -95,14 +95,13 @@ class RemoteAgents:
             for agent in self._agents
         )
 
-    def _content(self, agent: _RemoteAgent, order: AgentOrder | None = None) -> str:
-        ordered = order or self._bootstrap.order(agent.host)
+    def _content(self, order: AgentOrder | None) -> str:
         run = os.environ.get(names.RUN, "")
-        return json.dumps(asdict(HostOrder(ordered, start_timeout_s(), self._options, run)))
+        return json.dumps(asdict(HostOrder(order, start_timeout_s(), self._options, run)))
 
-    def _send(self, agent: _RemoteAgent, receiver: str) -> None:
-        agent.sent = self._content(agent)
-        agent.publish(agent.sent, receiver)
+    def _send(self, agent: _RemoteAgent) -> None:
+        agent.sent = self._content(self._bootstrap.order(agent.host))
+        agent.publish(agent.sent, agent.link.peer)
 
     def _warn(self, agent: _RemoteAgent, sentence: str) -> None:
         if sentence == agent.warned:
@@ -123,7 +122,7 @@ class RemoteAgents:
         if link.peer != before:
             agent.replaced |= {before} - {""}
         if opened.sender in agent.replaced:
-            agent.publish(self._content(agent, AgentOrder(int(StartupPhase.SHUTDOWN), {})), opened.sender)
+            agent.publish(self._content(AgentOrder(int(StartupPhase.SHUTDOWN), {})), opened.sender)
             return
         if opened.sender not in (link.peer, agent.invited):
             if now < agent.heard + _REPLACED_AFTER_S:
@@ -131,13 +130,17 @@ class RemoteAgents:
                 self._warn(agent, agent.second_sentence(now))
                 return
             agent.invited, agent.heard = opened.sender, now
-        if opened.content is not None:
+        if opened.content is None:  # an old one, perhaps: only an answer tells what the host has now
+            agent.publish(self._content(None), opened.sender)
+        else:
             agent.heard = now
             told = read_json(HostReport, opened.content, topic)
-            unlike = self._bootstrap.agent_heard(host, told.digests, now)
+            serves = told.serves if told.serves != os.environ.get(names.RUN, "") else ""
+            unlike = self._bootstrap.agent_heard(host, told.digests, now, serves)
             self._warn(agent, unlike or agent.second_sentence(now))
             if unlike:
+                agent.sent = ""
                 return
             for report, pid in told.tasks:
                 self._bootstrap.reported(report, pid, host, now)
-        self._send(agent, opened.sender)
+            self._send(agent)

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import rclpy
 from rclpy.client import Client
-from rclpy.signals import SignalHandlerOptions
 
 from im import UnreachableError
 from im_bringup.machine.machine_state import runs_here
@@ -18,7 +17,7 @@ from im_core.errors import WaitTimeoutError
 from im_core.output import complain
 from im_core.processes.end_signals import heed_end_signals
 from im_core.ros.guard import GuardedNode
-from im_core.ros.run import Spinner
+from im_core.ros.run import Spinner, begin_ros
 
 _POLL_S = 0.02
 
@@ -109,7 +108,7 @@ NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
     """Initialise ROS for the block, and spin a node; end signals interrupt the block."""
     with own_output():
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        begin_ros([])
         try:
             node = make()
             heed_end_signals(lambda _: node.interrupt())

@@ -24,7 +24,7 @@ from im_bringup.tasks.signed_link import read_secret
 from im_cell.robot import load_cell
 from im_core import clock, names, plugins
 from im_core.errors import ConfigError, ImError
-from im_core.processes import scheduling
+from im_core.processes import host_record, scheduling
 from im_core.processes.process import prepare
 from im_core.processes.procfs import ProcessId
 
@@ -51,7 +51,9 @@ def main() -> int:
     try:
         deployment = deployments.load(arguments.deployment)
         limit_memory(deployment.memory_mib)
-        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
+        os.environ.update(dds := middleware(os.environ, deployment))  # read when the first node is made
+        if len(deployment.hosts) > 1:
+            host_record.write(deployment.local_host(), False, names.run_dir().resolve(), dds)
         deployment = deployments.with_options_text(deployment, arguments.options, deployments.HERE)
         secret = read_secret(os.environ) if len(deployment.hosts) > 1 else b""
         nets, bootstrap = begin(deployment)

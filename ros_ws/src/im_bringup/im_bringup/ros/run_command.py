@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from im import Command, Machine, UnreachableError
+from im.commands import DISPATCHER
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
 from im_bringup.machine.interrupts import ignore_interrupts, interrupt_once
@@ -132,7 +133,10 @@ def why_lost(silent_s: float) -> str:
     record = machine_state.read()
     if record is None or not record.alive:
         return ": the machine has ended, its bootstrap is gone"
-    return "" if silent_s <= SILENCE_S or record.state == machine_state.STARTING else f"; the machine is {record.state}"
+    if silent_s <= SILENCE_S or record.state == machine_state.STARTING:
+        return ""
+    known = next((each for each in record.missing if each.startswith(f"{DISPATCHER} ")), "")
+    return f"; the machine is {record.state}{f', but {known}' if known else ''}"
 
 
 def _command_number(text: str) -> int:

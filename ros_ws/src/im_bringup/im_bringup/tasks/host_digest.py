@@ -1,6 +1,7 @@
 """Digests of everything common to the hosts of a deployment."""
 
 import hashlib
+import importlib.util
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -31,22 +32,36 @@ def digests(deployment: Deployment) -> dict[str, str]:
     cell = load_cell(deployment.cell or None)
     tasks = for_cell(deployment, cell.parts)  # a bootstrap has left out what the cell lacks already
     bodies = os.environ.get(OBJECTS)
+    packages = {placed.task.package for placed in tasks.model_copy(update={"foxglove": 0}).tasks()}
     return {
-        **({f"free bodies ({OBJECTS})": _digest([read_bytes(Path(bodies), _LARGEST)])} if bodies else {}),
+        f"free bodies ({OBJECTS})": _digest([read_bytes(Path(bodies), _LARGEST)] if bodies else []),
         "tasks of the deployment file": _digest([tasks.model_dump_json(include={"hosts"}).encode()]),
         "cell": _digest([cell.model_dump_json(exclude={"urdf", "poses"}).encode(), urdf(cell).encode()]),
         f"messages ({_MESSAGES})": _digest(_interfaces(Path(get_package_share_directory(_MESSAGES)))),
+        **{f"nets of {package}": _digest(_nets(folder)) for package in packages if (folder := _folder_of(package))},
     }
 
 
 def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> list[str]:
-    """Return the names of the things with different digests."""
-    return sorted(name for name in {*ours, *theirs} if ours.get(name) != theirs.get(name))
+    """Return the names of the things on both hosts with different digests; a host may lack packages of the other."""
+    return sorted(name for name in ours.keys() & theirs.keys() if ours[name] != theirs[name])
 
 
 def _interfaces(share: Path) -> Iterator[bytes]:
     for path in sorted(path for kind in ("msg", "srv", "action") for path in share.glob(f"{kind}/*.{kind}")):
         yield path.name.encode()
+        yield read_bytes(path, _LARGEST)
+
+
+def _folder_of(package: str) -> Path | None:
+    """Return the folder of a Python package; None if the host lacks the package."""
+    spec = importlib.util.find_spec(package)
+    return Path(spec.origin).parent if spec is not None and spec.origin else None
+
+
+def _nets(folder: Path) -> Iterator[bytes]:
+    for path in sorted(folder.glob("nets/**/*.yaml")):
+        yield str(path.relative_to(folder)).encode()
         yield read_bytes(path, _LARGEST)
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
 from im_core.config import fault_in, package_file
+from im_core.processes.host_record import LOOPBACK_PROFILE, OPEN_PROFILE, PROFILE, PROFILES
 
-#: Environment variable that names the profile.
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 #: With it the rmw takes memory policy, publish mode and data sharing from the profile, all of which ours has.
 QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: Addresses at which discovery looks for others, also where no multicast goes; those of the user come first.
@@ -29,19 +28,18 @@ _UP, _LOOPBACK, _RUNNING = 0x1, 0x8, 0x40
 
 def loopback_profile() -> Path:
     """Return the DDS profile for one host: no participant outside of the host is heard."""
-    return package_file(_PACKAGE, "config/fastdds.xml")
+    return package_file(_PACKAGE, f"config/{LOOPBACK_PROFILE}")
 
 
 def open_profile() -> Path:
     """Return the DDS profile for several hosts: DDS listens on all network interfaces."""
-    return package_file(_PACKAGE, "config/fastdds_hosts.xml")
+    return package_file(_PACKAGE, f"config/{OPEN_PROFILE}")
 
 
 def own_profile(base: Mapping[str, str]) -> str:
     """Return the profile set by the user instead of ours, or an empty string."""
     given = Path(base.get(PROFILE, ""))
-    ours = (loopback_profile(), open_profile())
-    return "" if given.name in ("", *(path.name for path in ours)) else str(given)
+    return "" if given.name in ("", *PROFILES) else str(given)
 
 
 def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str]:

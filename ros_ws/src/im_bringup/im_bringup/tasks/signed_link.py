@@ -9,7 +9,7 @@ import json
 import os
 import secrets
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -38,13 +38,13 @@ class HostOrder:
     """Order of the bootstrap to the agent of another host.
 
     Attributes:
-        order: What its tasks are to do.
+        order: What its tasks are to do; None: report first what the host has.
         start_timeout_s: How long the start may take [s].
         options: What the start was given, as of :func:`im_bringup.tasks.deployment.options_text`.
         run: Name of this run of the machine.
     """
 
-    order: AgentOrder
+    order: AgentOrder | None
     start_timeout_s: float
     options: str
     run: str
@@ -57,10 +57,12 @@ class HostReport:
     Attributes:
         tasks: The reports of its tasks, each with its process.
         digests: Of what the host has, as of :func:`im_bringup.tasks.host_digest.digests`.
+        serves: Name of the run of the agent; empty before the first order.
     """
 
     tasks: list[tuple[TaskReport, int]]
     digests: dict[str, str]
+    serves: str = ""
 
 
 def orders_topic(host: str) -> str:
@@ -79,11 +81,13 @@ class Opened:
 
     Attributes:
         sender: The incarnation of its sender.
-        content: What it says; None if it was made for another incarnation, or has been taken before.
+        content: What it says; None if it was made for another incarnation, has been taken before, or was refused.
+        refused: Whether it is of a new incarnation that may not take the place of the present one.
     """
 
     sender: str
     content: str | None
+    refused: bool = False
 
 
 def read_secret(environ: Mapping[str, str]) -> bytes:
@@ -134,8 +138,14 @@ class SignedLink:
         text = json.dumps(asdict(message))
         return self._signature(topic, text) + text
 
-    def open(self, topic: str, signed: str) -> Opened:
+    def open(self, topic: str, signed: str, accepts: Callable[[str], bool] = lambda _: True) -> Opened:
         """Read a message.
+
+        Args:
+            topic: The topic of the message.
+            signed: The message.
+            accepts: Decides by the content of a message whether a new incarnation of the other end may take the place
+                of the present one.
 
         Raises:
             DataError: It is not signed with the secret, for this topic and host.
@@ -145,13 +155,18 @@ class SignedLink:
         if not hmac.compare_digest(_encoded(signature), self._signature(topic, text).encode()):
             raise DataError(f"a message on {topic} for host {self._host} is not signed with the secret of {VARIABLE}")
         message = read_json(_Message, text, f"a message on {topic}")
+        if self._is_new(message) and not accepts(message.content):
+            return Opened(message.sender, None, refused=True)
         return Opened(message.sender, message.content if self._is_fresh(message) else None)
+
+    def _is_new(self, message: _Message) -> bool:
+        return message.receiver == self._incarnation and message.sender not in self._peers
 
     def _is_fresh(self, message: _Message) -> bool:
         """Return whether a message is new and for this incarnation; a new one of the other end ends the former."""
         if message.receiver != self._incarnation:
             return False
-        if message.sender not in self._peers:
+        if self._is_new(message):
             self._peers.add(message.sender)
             self.peer, self._taken = message.sender, 0
         if message.sender != self.peer or message.number <= self._taken:

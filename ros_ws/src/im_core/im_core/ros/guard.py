@@ -18,6 +18,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -26,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.errors import FOREIGN, ImError, as_exception
+from im_core.errors import FOREIGN, ImError, StateError, as_exception
 from im_core.ros import qos
 from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.logger import Logger
@@ -96,7 +97,10 @@ class GuardedNode(Node):
         self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
-        super().__init__(name, **options)
+        try:
+            super().__init__(name, **options)
+        except rclpy_implementation.RCLError as error:  # DDS security without its libraries, or without a keystore
+            raise StateError(f"ROS makes no node '{name}': {str(error).splitlines()[0]}") from error
         self._logger: RcutilsLogger = Logger(Node.get_logger(self).name)
 
     @property

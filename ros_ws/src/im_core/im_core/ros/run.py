@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 from im_core.processes import scheduling
 from im_core.processes.agent_socket import AgentOrder, AgentSocket
 from im_core.processes.end_signals import heed_end_signals
@@ -207,6 +207,21 @@ def main(
     return run_together([program], args)
 
 
+def begin_ros(args: Sequence[str] | None = None) -> None:
+    """Initialise ROS without signal handlers.
+
+    Args:
+        args: Arguments for ROS; None: those of the process.
+
+    Raises:
+        StateError: ROS refuses, as where the folder of its logs cannot be written.
+    """
+    try:
+        rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # of rcl, too
+        raise StateError(f"ROS does not begin: {str(error).splitlines()[0]}") from error
+
+
 @contextlib.contextmanager
 def gathered() -> Iterator[list[Program]]:
     """Collect programs in a list for :func:`run_together`: within the context, :func:`main` runs nothing."""
@@ -232,8 +247,8 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
     """
     scheduling.keep_off()
     agent = AgentSocket.inherited()
-    rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        begin_ros(args)
         with shared_readers():
             nodes = [program.make_node() for program in programs]
     except ImError as error:

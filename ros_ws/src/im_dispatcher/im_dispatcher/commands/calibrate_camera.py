@@ -274,7 +274,8 @@ class CalibrateCamera:
                 visits.observation_of(number) for number, name in enumerate(names, 1) if name not in left_out
             ),
             "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
-            "directory": ctx.memory["directory"],
+            # by its name: /vss may be on another host, with a folder of results of its own
+            "directory": Path(str(ctx.memory["directory"])).name,
         }
 
     async def write_report(self, ctx: ActionContext) -> None:
