@@ -127,7 +127,7 @@ class GroupPlanner:
         return left_s + len(self._ready) * self.period_s
 
     def course(self, times: NDArray[np.float64]) -> Setpoint:
-        """Return the setpoints at times after the present one, shape (m,) [s], if nothing changes: shape (m, n) each."""
+        """Return the setpoints, shape (m, n) each, at times from now, shape (m,) [s], if nothing changes."""
         return self._planned.course(times - len(self._ready) * self.period_s)
 
     def require_open(self, group: str) -> None:

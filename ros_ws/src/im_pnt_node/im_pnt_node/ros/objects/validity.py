@@ -68,7 +68,7 @@ class Validity:
         self._changed()
 
     async def _compare_store(self) -> None:
-        """Has it said if the store of /dom has lost what this node has seen; nothing waits for that."""
+        """Log a loss of known objects by the store of /dom; nothing waits for the answer."""
         try:
             await self._dom.compare_store()
         except ImError as error:  # the next answer of the store tells
@@ -84,7 +84,7 @@ class Validity:
             self._settle(name, bool(change.object.valid))
 
     def _look_at(self, name: str) -> None:
-        """Has an object looked at, soon."""
+        """Look at an object soon."""
         self._wanted[name] = None
         if not self._looking:
             self._looking = True
