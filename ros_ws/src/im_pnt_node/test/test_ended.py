@@ -10,6 +10,7 @@ import pytest
 
 from im_pnt_node.journal import ended as module
 from im_pnt_node.journal.ended import EndedCommand, EndedCommands
+from im_pnt_node.ros.commands.execute import ended_state
 
 
 def one(number: int, symbol: str = "pick", time: float = 1000.0) -> EndedCommand:
@@ -136,6 +137,7 @@ import resource, signal, sys
 from pathlib import Path
 from im_core.clock import wall
 from im_pnt_node.journal.ended import EndedCommand, EndedCommands
+from im_pnt_node.ros.commands.execute import ended_state
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 file = Path(sys.argv[1])
@@ -159,3 +161,18 @@ def test_a_line_that_was_cut_short_takes_no_later_one_with_it(tmp_path):
     again = EndedCommands()
     again.keep_in(file, sync=False)
     assert [number in again for number in range(1, 6)] == [True, False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("message", "results", "told"),
+    [
+        ("", {"report": {"success": True, "message": "expect 0.05 px"}, "directory": "a"}, "expect 0.05 px"),
+        ("cancelled", {"report": {"message": "none"}}, "cancelled"),
+        ("", {"x": 1.0, "message": "a result of this name", "report": {"message": 3}}, ""),
+    ],
+)
+def test_a_list_of_commands_tells_reports_by_their_messages(message, results, told):
+    ended = one(2).model_copy(update={"message": message, "results": results})
+    state = ended_state(ended)
+    assert state.message == told
+    assert json.loads(state.results).keys() == results.keys()

@@ -87,7 +87,7 @@ class ExecuteServer:
         response.commands = [self._state(command) for command in self._commands.open()]
         response.last = self._commands.last
         ended, told = self._commands.ended, self._ended
-        self._ended = {n: told.get(n) or _end_of(ended[n]) for n in ended.newest(ENDED_TOLD)}
+        self._ended = {n: told.get(n) or ended_state(ended[n]) for n in ended.newest(ENDED_TOLD)}
         response.ended = list(self._ended.values())
         return response
 
@@ -206,13 +206,16 @@ class ExecuteServer:
         return result
 
 
-def _end_of(ended: EndedCommand) -> CommandState:
+def ended_state(ended: EndedCommand) -> CommandState:
+    """Return the state of an ended command; reports among its results are told by their messages."""
+    reports = [value for value in ended.results.values() if isinstance(value, Mapping)]
+    told = [report["message"] for report in reports if isinstance(report.get("message"), str)]
     return CommandState(
         command_id=ended.number,
         symbol=ended.symbol,
         state="done" if ended.success else "failed",
         progress=1.0 if ended.success else -1.0,
-        message=ended.message,
+        message=ended.message or "; ".join(told),
         results=json.dumps(shown_values(ended.results)),
     )
 
