@@ -51,7 +51,7 @@ POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zer
         ("import im_coordinators.ros.gripper", ("im_mcs", "im_coordinators.path_search")),
         (POSE, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "command", "launch", "verify", "client", "type of ROS", "type of a proof", "gripper", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "verify", "client", "type of ROS", "proof", "gripper", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

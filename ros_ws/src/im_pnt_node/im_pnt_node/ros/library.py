@@ -140,7 +140,7 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with all direct and indirect partners; what is not read yet is not known (:meth:`read`)."""
+        """Return a net with all direct and indirect partners that :meth:`read` has read."""
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
