@@ -414,8 +414,8 @@ def test_one_build_holds_all_that_pip_installs(tmp_path):
     ids=lambda words: words.split()[0],
 )
 def test_nets_are_judged_where_neither_ros_nor_the_machine_is(words, tmp_path):
-    ros = {*MESSAGES, "rclpy", "rosidl_runtime_py", "ament_index_python"}
-    banned = {*ros, *LIBRARIES, *PACKAGES, "foxglove"} - {*ALONE, "mcap"}
+    ros = {"ament_index_python", "rclpy", "rosidl_runtime_py"}
+    banned = {*LIBRARIES, *MESSAGES, *PACKAGES, *ros, "foxglove"} - {*ALONE, "mcap"}
     program = f"""
 import sys
 class Ban:

@@ -33,6 +33,7 @@ VERIFY = "im_pnt_analysis.cli.verify"
 #: A client of the machine: a command line waits for it.
 CLIENT = "im_bringup.ros.run_command"
 USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
+ASKED_TYPE = "from im_pnt.expression.types import installed_types; installed_types().fields('std_msgs/msg/String')"
 POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zeros(3), numpy.eye(3))"
 
 
@@ -46,9 +47,11 @@ POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zer
         (f"import {VERIFY}", ("numpy", "im_pnt_analysis.search.reachability")),
         (f"import {CLIENT}", ("asyncio", "pydantic", "im_core.ros.guard")),
         (USED_TYPE, ("em", "lark")),
+        (ASKED_TYPE, ("rclpy", "im_pnt_node.rerun.log")),
+        ("import im_coordinators.ros.gripper", ("im_mcs", "im_coordinators.path_search")),
         (POSE, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "command", "launch", "verify", "client", "type of ROS", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "verify", "client", "type of ROS", "proof", "gripper", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

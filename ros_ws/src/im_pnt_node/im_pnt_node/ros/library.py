@@ -140,7 +140,7 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with all direct and indirect partners; what is not read yet is not known (:meth:`read`)."""
+        """Return a net with all direct and indirect partners that :meth:`read` has read."""
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
@@ -167,7 +167,7 @@ class Library:
             self._node.spawn(self.read(self._is_needed))
 
     def _is_needed(self, key: tuple[str, str]) -> bool:
-        """Return whether a description changes a known net, or is one of a direct or indirect partner."""
+        """Return whether a description is of a known net, or of a direct or indirect partner."""
         partners = (net.partners() for net in (*self._own(), *self._known.values()))
         return not self._unread[key].json or key[0] in self._known or any(key[0] in names for names in partners)
 
