@@ -14,9 +14,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 from bench.chaos.switch import Weather
-from im_bringup.tasks.middleware import PROFILE, RANGE
+from im_bringup.tasks.middleware import RANGE
 from im_core import clock, names
 from im_core.errors import StateError, WaitTimeoutError
+from im_core.processes.host_record import PROFILE
 
 #: How long a host may take to be there, and a cable to be up [s].
 _BOOT_S = 60.0
