@@ -11,9 +11,10 @@ import pytest
 
 from bench.chaos.hosts import connected
 from im_bringup.ros.security import enclaves_of
-from im_bringup.tasks.middleware import PROFILE, RANGE, loopback_profile, open_profile
+from im_bringup.tasks.middleware import RANGE, loopback_profile, open_profile
 from im_core.config import package_file
 from im_core.errors import StateError
+from im_core.processes.host_record import PROFILE
 from support.whole_machine import write_few_poses
 
 WAIT_S = 60.0
