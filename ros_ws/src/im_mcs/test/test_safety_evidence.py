@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from im_core.errors import ImError, LimitError
-from im_mcs.client.evidence import write_evidence
+from im_mcs.client.evidence import AT_ONCE, EACH_S, EvidenceLimit, write_evidence
 from im_mcs.protocol.evidence import KEPT, PER_JOINT, Recorder, Records, record_type
 
 
@@ -117,3 +117,14 @@ def test_an_abort_names_its_record_and_the_record_shows_the_fault(bench, cell):
     assert np.abs(record["following_error"][-2]).argmax() == 5  # in the tick of the e-stop there is no setpoint
     assert record["following_error"][-2, 5] == pytest.approx(facts["value"], abs=0.005)
     assert len(record["tick"]) <= round(bench.mcs.config.safety.record_s / 0.0045)
+
+
+def test_a_flood_of_one_fault_writes_few_files_and_leaves_room_for_another():
+    limit, begin = EvidenceLimit(), 1000.0
+    flood = [begin + k / 30.0 for k in range(30 * 60)]
+    written = [now for now in flood if limit.allows("tolerance", now)]
+    assert written[:AT_ONCE] == flood[:AT_ONCE]
+    assert len(written) == pytest.approx(AT_ONCE + 60.0 / EACH_S, abs=2)
+    assert limit.allows("state", flood[-1])
+    later = flood[-1] + AT_ONCE * EACH_S
+    assert [limit.allows("tolerance", later) for _ in range(AT_ONCE + 1)] == [True] * AT_ONCE + [False]

@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,25 @@ from im_core.errors import ImError
 from im_core.files import write_whole
 from im_mcs.protocol.evidence import PER_JOINT
 
+AT_ONCE, EACH_S = 10, 2.0
+"""Files of one kind of fault: so many at once, and then one in so many seconds."""
+
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+class EvidenceLimit:
+    """Limit of files for each kind of fault: a client whose goals fail thirty times a second would fill the disk."""
+
+    def __init__(self) -> None:
+        self._due_s: dict[str, float] = {}
+
+    def allows(self, code: str, now_s: float) -> bool:
+        """Return whether another file may be written at a monotonic time, and count the file."""
+        due_s = max(self._due_s.get(code, -math.inf), now_s - (AT_ONCE - 1) * EACH_S)
+        if due_s > now_s:
+            return False
+        self._due_s[code] = due_s + EACH_S
+        return True
 
 
 def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, joints: tuple[str, ...] = ()) -> Path:

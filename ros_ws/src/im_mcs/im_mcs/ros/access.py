@@ -18,7 +18,7 @@ from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.peers.client_identity import nodes_of
-from im_mcs.client.evidence import write_evidence
+from im_mcs.client.evidence import EvidenceLimit, write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
@@ -122,6 +122,7 @@ class McsAccess:
         self.take_overs = TakeOvers(node.get_logger())
         self._changed, self._shown_tick = changed, -1
         self._evidence: dict[tuple[ServoClient, int, str], Promise] = {}
+        self._evidence_limit = EvidenceLimit()
         self.lifecycle = Lifecycle(
             node,
             {
@@ -362,13 +363,14 @@ class McsAccess:
     async def _with_evidence(self, client: ServoClient, error: ImError, results: dict[str, Any]) -> ImError:
         """Write the evidence of an error, if any, and name the file in message and facts.
 
-        Goals that end in one tick for one reason share the evidence: it is written once.
+        Goals that end in one tick for one reason share the evidence: it is written once. Of many errors of a kind soon
+        after each other, some have none.
         """
         key = client, int(results.get("evidence", 0)), error.message
         written = self._evidence.get(key)
         if written is None:
             record = client.evidence(key[1])
-            if record is None:
+            if record is None or not self._evidence_limit.allows(error.code, clock.monotonic()):
                 return error
             written = self._evidence[key] = self.node.promise()
             if len(self._evidence) > KEPT:
