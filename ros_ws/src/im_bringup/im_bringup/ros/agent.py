@@ -194,6 +194,7 @@ def main() -> int:
         limit_memory(deployment.memory_mib)
         os.environ.update(dds := middleware(os.environ, deployment))  # read when the first node is made
         host_record.write(arguments.host, True, names.run_dir().resolve() / arguments.host, dds)
+        print(f"agent: host {arguments.host} waits for orders of the bootstrap", flush=True)
         return AgentNode(deployment, arguments.host, secret)
 
     os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients
