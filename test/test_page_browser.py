@@ -464,7 +464,7 @@ def test_keys_that_are_pressed_before_the_server_answers_count_one_after_the_oth
     recording, url = recorded
     each = tab(url)
     counted = "document.getElementById('count').textContent.startsWith('firing {} ')"
-    each.until(counted.format(0), "the beginning")
+    each.until(counted.format(recording.firings_until(recording.position_at(0.0))), "the first moment")
     held = []
     each.page.route("**/recording.json*", lambda route: held.append(route) if holding else route.continue_())
     for keys, firing in (
