@@ -206,9 +206,10 @@ class Bootstrap:
         elif unlike:
             sentence = f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
         self._changed |= sentence != self._unlike.get(host, "")
-        self._unlike[host] = sentence
-        if not sentence:
-            del self._unlike[host]
+        if sentence:
+            self._unlike[host] = sentence
+        else:
+            self._unlike.pop(host, None)
         return sentence
 
     def stranger_heard(self, host: str, sentence: str) -> None:

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LinkError
+from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.control.filters import VelocityEstimator
+from im_mcs.group import ControlledGroup
 from im_mcs.group.goals import Goal
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -91,7 +93,9 @@ class Mcs:
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
         self._laws = LawSource(config, self.control_model, self.limits.torque, testbed.wall_period_s)
         self._partitions = Partitions(config, model, self.limits, self._laws, lambda: self.measured.q)
-        self.groups, self._collision = self._partitions.enter(config.preset)
+        near = np.where(np.array(self.limits.units) == "m", config.planning.goal.m, config.planning.goal.rad)
+        self._courses = Courses(testbed.followed, near, config.servo.period_s) if testbed.followed else None
+        self.groups, self._collision = self._enter(config.preset)
         self.manager = StateManager(
             joints=model.names,
             groups={name: group.joints for name, group in config.groups.items()},
@@ -108,10 +112,6 @@ class Mcs:
         self.grippers = Grippers(
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
-        near = np.where(np.array(self.limits.units) == "m", config.planning.goal.m, config.planning.goal.rad)
-        self._courses = Courses(testbed.followed, near, config.servo.period_s) if testbed.followed else None
-        if self._courses is not None:
-            self._courses.bind(self.groups.values())
         self._dispatch = Dispatch(self)
         if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
@@ -253,9 +253,7 @@ class Mcs:
         joints = {name: group.joints for name, group in config.groups.items()}
         heirs = self.manager.check_repartition(joints, preset, sender)
         held = next((group.rates.held for group in before.values() if group.rates.held is not None), None)
-        self.groups, self._collision = self._partitions.enter(preset)
-        if self._courses is not None:
-            self._courses.bind(self.groups.values())
+        self.groups, self._collision = self._enter(preset)
         for group in self.groups.values():
             group.rates.held = held
         self.manager.repartition(joints, {name: group.index for name, group in self.groups.items()}, heirs)
@@ -270,6 +268,13 @@ class Mcs:
     def close(self) -> None:
         """End the processes of the control laws."""
         self._laws.close()
+
+    def _enter(self, preset: str) -> tuple[dict[str, ControlledGroup], GuardedMonitor]:
+        """Return the groups of a preset, and the monitor of their collisions."""
+        groups, collision = self._partitions.enter(preset)
+        if self._courses is not None:
+            self._courses.bind(groups.values())
+        return groups, collision
 
     # what the state manager asks for (im_mcs.state.manager.Arms)
 
