@@ -163,6 +163,9 @@ def test_security_that_ros_does_not_have_or_has_no_keys_for(monkeypatch, tmp_pat
         ImError, match=r"^ROS_SECURITY_ENABLE is true, and no node can be made \(.+\); .*nothing was sta"
     ):
         preflight.check_host()
+    monkeypatch.setattr(preflight, "_NODE_S", 0.001)
+    with pytest.raises(ImError, match=r"no node can be made \(waited 0.001 s for one, in vain\); "):
+        preflight.check_host()
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "false")
     preflight.check_host()
 

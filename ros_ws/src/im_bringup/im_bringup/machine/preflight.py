@@ -140,7 +140,11 @@ def _check_security() -> None:
     if os.environ.get(_SECURITY, "").lower() != "true":
         return
     argv = [sys.executable, "-P", "-c", _MAKE_NODE]
-    made = subprocess.run(argv, capture_output=True, text=True, check=False, timeout=_NODE_S)
+    try:
+        made = subprocess.run(argv, capture_output=True, text=True, check=False, timeout=_NODE_S)
+    except subprocess.TimeoutExpired:
+        reason = f"waited {_NODE_S:g} s for one, in vain"
+        raise _refused(f"{_SECURITY} is true, and no node can be made ({reason})", reason=reason) from None
     if made.returncode != 0:
         reason = next((line for line in made.stderr.splitlines() if _NO_NODE in line), made.stderr.strip()[-200:])
         reason = reason.partition(_NO_NODE)[2] or reason
